@@ -93,8 +93,9 @@ class _Skin:
     ) -> NDArray[np.float32]:
         query, normals = self._query, Vt.Vec3fArray.FromNumpy(rest.normals)
         indices, weights = query.ComputeVaryingJointInfluences(len(rest.points), time)
-        if query.GetJointMapper() is not None:
-            joints = query.GetJointMapper().RemapTransforms(joints)
+        mapper = query.GetJointMapper()
+        if mapper is not None and not mapper.IsNull():
+            joints = mapper.RemapTransforms(joints, Vt.Matrix4dArray())
         turned = [_for_normals(each) for each in joints]
         _require(
             UsdSkel.SkinNormals(

@@ -87,9 +87,16 @@ def test_a_subdivided_skin_is_the_limit_surface_of_the_posed_cage(tmp_path):
     assert {len(mesh.faces) for mesh in scene.meshes if mesh.path} == {len(shown.faces)}
 
 
-def test_normals_turn_with_the_skin(tmp_path):
+@pytest.mark.parametrize("order", [None, (2, 0, 1)])
+def test_normals_turn_with_the_skin(tmp_path, order):
     def build(stage):
         skin = arm.write_arm(stage)
+        if order is not None:
+            # Joints in an order of the mesh's own.
+            binding = UsdSkel.BindingAPI(skin.GetPrim())
+            binding.CreateJointsAttr([arm.JOINTS[k] for k in order])
+            own = np.argsort(order)[arm.influences()[0]]
+            binding.GetJointIndicesPrimvar().Set(own.ravel().tolist())
         points = arm.rest_points()
         bind = arm.bind_matrix()
         outward = points @ bind[:3, :3].T + bind[:3, 3]
