@@ -24,7 +24,7 @@ REST = "a skinned mesh whose skeleton or influences cannot be read stands in its
 #: What is said of a shape whose topology changes.
 TOPOLOGY = "a shape that gains or loses points or faces stays as it is at the first sample"
 #: What is said of one whose poses would take too much.
-TOO_MANY = "a shape of too many triangles in all its poses stands still, as at the first sample"
+TOO_MANY = "a shape of too many poses, or triangles in them, stands still, as at the first sample"
 
 
 @dataclass(frozen=True)

@@ -233,11 +233,12 @@ def test_what_cannot_be_posed_stands_still_and_is_told(tmp_path, build, line):
     assert told.startswith(line)
 
 
-def test_a_shape_of_too_many_triangles_keeps_its_first_pose(tmp_path, monkeypatch):
-    monkeypatch.setattr(meshes, "_MOST_POSED", 500)
+@pytest.mark.parametrize("limit", ["_MOST_POSED", "_MOST_MATRICES"])
+def test_a_shape_of_too_many_poses_keeps_its_first_one(tmp_path, monkeypatch, limit):
+    monkeypatch.setattr(meshes, limit, 11)
     scene = opened(tmp_path, armed)
     assert scene.rows.motion is None
-    assert scene.losses[0].startswith("a shape of too many triangles")
+    assert scene.losses[0].startswith("a shape of too many poses")
     (points,) = world_points(scene, 3, "/Root/arm/skin")
     np.testing.assert_allclose(points, arm.points_by_hand(0), atol=3e-6)
 
