@@ -55,6 +55,16 @@ GEOREFERENCE = {
     "error_m": ("scenec:georeference:error", "Double"),
 }
 
+#: On a DistantLight that was computed for a place and a time: fields of
+#: ``schemas.records.SolarTime``: the attribute, and its type. None is left out.
+SOLAR_TIME = {
+    "body": ("scenec:solarTime:body", "Token"),
+    "time_utc": ("scenec:solarTime:utc", "String"),
+    "solar_time_h": ("scenec:solarTime:true", "Double"),
+    "mean_solar_time_h": ("scenec:solarTime:mean", "Double"),
+    "ls_deg": ("scenec:solarTime:ls", "Double"),
+}
+
 #: On TERRAIN, where its relief has craters: fields of ``schemas.craters.CraterTable``, [n] each, in
 #: the world's meters: the attribute, and its type.
 CRATERS = {

@@ -28,7 +28,7 @@ NOT_RUN = {
     "make demo": ENVIRONMENT,
     "git clone YOUR-COPY-OF-SCENEC scenec && cd scenec": ENVIRONMENT,
     f"{SWEEP} --set terrain.spacing_m=0.1,0.2 --seeds 0:5 -o OUT": "a recipe runs a smaller sweep",
-    "scenec evaluate detections.json --against dataset": "there are no predictions of a network here",
+    "scenec evaluate detections.json --against dataset": "no network has predicted anything here",
     "import torch": "PyTorch takes gigabytes and is not among what scenec installs",
 }
 
