@@ -45,6 +45,8 @@ from scenec.schemas.subdivision import Refined
 _ABSENT = -1
 #: Triangles of all poses of the shapes of a stage that deform, beyond their first ones.
 _MOST_POSED = 1 << 24
+#: Matrices of the rows of all poses, one a sample: 400 MB.
+_MOST_MATRICES = 1 << 22
 #: What is said of colors that are not shown one by one.
 MISFIT = "displayColor of another length than its shape needs is shown as its mean"
 
@@ -78,7 +80,9 @@ class MeshTable:
         self.meshes: list[Mesh] = []
         self._time = times[0]
         self._deformations = Deformations(times)
-        self._room = _MOST_POSED
+        self._room, self._matrices, self._samples = _MOST_POSED, _MOST_MATRICES, len(times)
+        #: How often what is added now stands somewhere.
+        self.copies = 1
         #: Of a shape that deforms: the meshes that are one part of it, pose by pose, and which of
         #: them is there at each sample, int64 [samples].
         self.families: list[tuple[tuple[int, ...], NDArray[np.int64]]] = []
@@ -150,9 +154,13 @@ class MeshTable:
         self, prim: Usd.Prim, poses: list[ShapePose], lost: str, triangles: int
     ) -> list[ShapePose]:
         """A shape's poses, or the first where all would be too much."""
-        if triangles * (len(poses) - 1) > self._room:
+        more = len(poses) - 1
+        matrices = more * self._samples * self.copies
+        if triangles * more > self._room or matrices > self._matrices:
             poses, lost = [replace(poses[0], shown=None)], TOO_MANY
-        self._room -= triangles * (len(poses) - 1)
+        else:
+            self._room -= triangles * more
+            self._matrices -= matrices
         if lost:
             self.unread.add(lost, prim)
         return poses

@@ -12,6 +12,7 @@ from pxr import Ar, Sdf, Tf, Usd, UsdShade
 
 from scenec.backends.stage import values
 from scenec.backends.stage.materialx import materialx_layer
+from scenec.backends.stage.materialx_networks import preview_networks
 from scenec.backends.stage.values import said
 from scenec.schemas.crate import crate_fault
 from scenec.schemas.errors import StageError
@@ -113,6 +114,7 @@ class Sources:
             self._read_materialx(stage)
             self._compose(stage)
             self._open_clips(stage)
+            preview_networks(stage)
             trap.Clear()
         self._require_complete()
         return stage
