@@ -117,6 +117,8 @@ ATTR_OPACITY_WRAP = "scenec:surface:maps:opacityWrap"
 WRAPS = ("repeat", "clamp", "mirror")
 #: Of opacity that a file means to be blended.
 OPACITY_THRESHOLD = 0.5
+#: Of a translated material's custom data: lines of what of it is not read.
+LOSSES = "scenec_losses"
 #: token, "above" where not authored: along the world's z (u = x / size, v = y / size), along its
 #: three axes, mixed by the shading normal's fourth powers, or by the mesh's primvar ``st``.
 ATTR_MAP_PROJECTION = "scenec:surface:maps:projection"

@@ -29,9 +29,8 @@ from scenec.backends.stage.materialx_nodes import (
 )
 from scenec.schemas.errors import StageError
 from scenec.schemas.packages import as_file
+from scenec.schemas.stage import LOSSES
 
-#: Of a material's custom data: lines of what of it is not read.
-LOSSES = "scenec_losses"
 _ROOT = "/MaterialX"
 _TYPES = Sdf.ValueTypeNames
 #: By surface: its inputs whose product an input of UsdPreviewSurface is.
