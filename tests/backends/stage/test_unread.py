@@ -101,7 +101,7 @@ def materialx_only(stage):
     material = UsdShade.Material.Get(stage, "/Root/Looks/material")
     material.GetSurfaceOutput().ClearSources()
     shader = UsdShade.Shader.Define(stage, "/Root/Looks/material/mtlx")
-    shader.CreateIdAttr("ND_standard_surface_surfaceshader")
+    shader.CreateIdAttr("ND_disney_principled")
     material.CreateSurfaceOutput("mtlx").ConnectToSource(shader.CreateOutput("out", TYPES.Token))
 
 
