@@ -96,13 +96,13 @@ def from_node(name: str, node: str):
     return build
 
 
-def materialx_only(stage):
+def of_renderman_only(stage):
     bind(stage, square(stage, "/Root/it").GetPrim())
     material = UsdShade.Material.Get(stage, "/Root/Looks/material")
     material.GetSurfaceOutput().ClearSources()
-    shader = UsdShade.Shader.Define(stage, "/Root/Looks/material/mtlx")
-    shader.CreateIdAttr("ND_disney_principled")
-    material.CreateSurfaceOutput("mtlx").ConnectToSource(shader.CreateOutput("out", TYPES.Token))
+    shader = UsdShade.Shader.Define(stage, "/Root/Looks/material/ri")
+    shader.CreateIdAttr("PxrSurface")
+    material.CreateSurfaceOutput("ri").ConnectToSource(shader.CreateOutput("out", TYPES.Token))
 
 
 def displaced(stage):
@@ -278,7 +278,7 @@ LOSSES = {
         lambda stage: bind(stage, square(stage, "/Root/it").GetPrim(), "Vendor") and None,
         "the surface Vendor is not read",
     ),
-    "materialx": (materialx_only, "a surface for other renderers is not read"),
+    "renderman": (of_renderman_only, "a surface for other renderers is not read"),
     "displacement": (displaced, "the displacement of a material is not read"),
     "clamp": (clamped, "wrap modes"),
     "weak normals": (weak_normals, "scale and bias of a texture of normals are not followed"),
