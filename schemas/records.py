@@ -308,7 +308,7 @@ class BackendChoice:
 
     Attributes:
         backend: Name.
-        order: Names in the order of preference, and what that stands on; before 0.9 there was none.
+        order: Names in the order of preference, and what that stands on.
         left_out: Those before it that do not work here for what is asked, and why.
     """
 

@@ -262,10 +262,13 @@ class Motion:
         rows: Which, ascending, int32 [k].
         to_world: Their matrices at each sample, float64 [samples, k, 3, 4]. Where a row is hidden
             its linear part is 0: a row scaled to a point has no surface.
+        stand_ins: Which row is there for each of them at each sample, int32 [samples, k]: a shape
+            that deforms has a row for each of its poses, with the same faces. None: each itself.
     """
 
     rows: NDArray[np.int32]
     to_world: NDArray[np.float64]
+    stand_ins: NDArray[np.int32] | None = None
 
     def among(self, rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Returns which of some rows move, and their indices in ``self.rows``; both int64 [m]."""

@@ -12,9 +12,10 @@ import re
 from collections.abc import Collection
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade
 
 from scenec.backends.stage import values
+from scenec.backends.stage.deforming import is_skinned
 from scenec.backends.stage.followed import NEUTRAL, is_followed
 from scenec.backends.stage.implicit import LENGTHS, kind_of
 from scenec.backends.stage.materialx import LOSSES
@@ -35,9 +36,9 @@ _FIRST = Usd.TimeCode.EarliestTime()
 _CONSTANT = UsdGeom.Tokens.constant
 _UNKNOWN = Sdf.SpecTypeUnknown
 _SUBDIVIDED = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
-#: Attributes of meshes whose change deforms them.
+#: Attributes of meshes whose change makes other faces of them.
 _DEFORMING = (
-    *("points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals"),
+    *("faceVertexCounts", "faceVertexIndices", "holeIndices"),
     *("cornerIndices", "cornerSharpnesses", "creaseIndices", "creaseLengths", "creaseSharpnesses"),
     *("interpolateBoundary", "faceVaryingLinearInterpolation", "triangleSubdivisionRule"),
 )
@@ -48,8 +49,8 @@ LIGHTS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
 #: Types that become something of a RenderScene.
 READ = frozenset(
     (
-        *("Mesh", "GeomSubset", "PointInstancer", "Camera", "Material", "Shader", "NodeGraph"),
-        *("RenderProduct", "RenderVar", *LIGHTS),
+        *("Mesh", "BasisCurves", "GeomSubset", "PointInstancer", "Camera", "Material", "Shader"),
+        *("NodeGraph", "RenderProduct", "RenderVar", *LIGHTS),
     )
 )
 
@@ -77,7 +78,7 @@ HARMLESS = frozenset(
 #: Types that show something, or shape light, and are not read.
 LOST = frozenset(
     (
-        *("BasisCurves", "HermiteCurves", "NurbsCurves", "NurbsPatch", "Points", "TetMesh"),
+        *("HermiteCurves", "NurbsCurves", "NurbsPatch", "Points", "TetMesh"),
         *("Volume", "ParticleField", "ParticleField3DGaussianSplat", "GenerativeProcedural"),
         *("CylinderLight", "DiskLight", "RectLight", "GeometryLight", "PortalLight"),
         *("PluginLight", "LightFilter", "PluginLightFilter"),
@@ -87,7 +88,7 @@ LOST = frozenset(
 KNOWN = READ | TESSELLATED | HARMLESS | LOST
 #: A plug-in's type that derives from one of these is taken for it.
 _BASES = (
-    *(UsdGeom.Mesh, UsdGeom.PointInstancer, UsdGeom.Xform, UsdGeom.Scope),
+    *(UsdGeom.Mesh, UsdGeom.BasisCurves, UsdGeom.PointInstancer, UsdGeom.Xform, UsdGeom.Scope),
     *(getattr(UsdGeom, kind) for kind in LENGTHS),
 )
 
@@ -258,25 +259,23 @@ class Unread:
         """
         mesh = UsdGeom.Mesh(prim)
         api = UsdGeom.PrimvarsAPI(prim)
-        self._attributes(prim, "Mesh" if mesh else kind_of(prim))
+        curves = UsdGeom.BasisCurves(prim)
+        self._attributes(prim, "Mesh" if mesh else "BasisCurves" if curves else kind_of(prim))
         if mesh:
             if values.word(mesh.GetSubdivisionSchemeAttr(), "") in _SUBDIVIDED:
                 self._cage(mesh)
             elif _corner_normals(mesh):
                 self.add("normals of face corners are not followed, faces are shaded flat", prim)
-            binding = UsdSkel.BindingAPI(prim)
-            if binding.GetJointIndicesPrimvar().HasValue() or (
-                binding.GetBlendShapeTargetsRel().HasAuthoredTargets()
-            ):
-                self.add("a skinned mesh stands in its rest pose", prim)
-        lengths = () if mesh else ("axis", *LENGTHS[kind_of(prim)])
+        elif is_skinned(prim) and not curves:
+            self.add("a skinned shape that is no mesh stands in its rest pose", prim)
+        lengths = ("axis", *LENGTHS.get(kind_of(prim), ("widths", "curveVertexCounts")))
         if self._changes(*(prim.GetAttribute(name) for name in (*_DEFORMING, *lengths))):
             self.add("a shape that deforms stands still, as it is at the first sample", prim)
         primvars = api.GetPrimvarsWithAuthoredValues()
         if self._changes(*(primvar.GetAttr() for primvar in primvars)):
             self.add("primvars that change stay as they are at the first sample", prim)
         if not material and _shows_display_color(prim):
-            if not mesh and not all_equal(api.FindPrimvarWithInheritance("displayColor")):
+            if kind_of(prim) and not all_equal(api.FindPrimvarWithInheritance("displayColor")):
                 self.add("displayColor that varies over a shape is shown as its mean", prim)
             opacity = api.FindPrimvarWithInheritance("displayOpacity")
             if opacity and opacity.HasValue():
