@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Maps, Reading, Surface
+from scenec.backends.surface.maps import load_map
 from scenec.importers.numbers import tidy
 from scenec.importers.output import Imported
 from scenec.importers.report import APPROXIMATED, TRANSLATED
@@ -150,6 +151,10 @@ def _values(file: Path, kind: str, reading: Reading) -> NDArray[np.float32]:
     Raises:
         ScenecError: It cannot be read.
     """
+    if reading.tiles != (1, 1):
+        loaded = load_map(file, kind, False, reading)
+        values = 0.5 * loaded + 0.5 if kind == "normal" else loaded
+        return np.repeat(values, 3, axis=2) if values.shape[2] == 1 else values
     try:
         pixels = maps.read_pixels(file)
     except ValueError as error:
