@@ -24,7 +24,7 @@ REST = "a skinned mesh whose skeleton or influences cannot be read stands in its
 #: What is said of a shape whose topology changes.
 TOPOLOGY = "a shape that gains or loses points or faces stays as it is at the first sample"
 #: What is said of one whose poses would take too much.
-TOO_MANY = "a shape of too many triangles in all its poses stands still, as at the first sample"
+TOO_MANY = "a shape of too many poses, or triangles in them, stands still, as at the first sample"
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,9 @@ class _Skin:
     ) -> NDArray[np.float32]:
         query, normals = self._query, Vt.Vec3fArray.FromNumpy(rest.normals)
         indices, weights = query.ComputeVaryingJointInfluences(len(rest.points), time)
-        if query.GetJointMapper() is not None:
-            joints = query.GetJointMapper().RemapTransforms(joints)
+        mapper = query.GetJointMapper()
+        if mapper is not None and not mapper.IsNull():
+            joints = mapper.RemapTransforms(joints, Vt.Matrix4dArray())
         turned = [_for_normals(each) for each in joints]
         _require(
             UsdSkel.SkinNormals(

@@ -329,7 +329,10 @@ class Expander:
                 if not root:
                     raise StageError(f"{prim.GetPath()}: prototype {target} does not exist")
                 # Id 0 here only says "inside of an instance".
+                outside = self._meshes.copies
+                self._meshes.copies *= int(counts[index])
                 self._walk(root, _Place(_IDENTITY, _IDENTITY, labels, instance_id=0), parts)
+                self._meshes.copies = outside
             contents.append(Expanded.joined(parts))
         return contents
 

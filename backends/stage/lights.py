@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.unread import LIGHTS, gobo_of
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.schemas.records import SolarTime
 
 #: Color times intensity, linear Rec.709, float64 [3].
 type _Strength = Callable[[Usd.TimeCode], NDArray[np.float64]]
@@ -105,14 +107,43 @@ def light_over_time(
 
     read = values.cached(values.inputs(prim), light)
     gobos = _gobos(prim, frame, times, sources)
+    clocks = _solar_times(prim, times)
     # Without an inverse there are no directions that it shines in.
     dark = flat(matrices) & (prim.GetTypeName() != "SphereLight")
     for k in np.flatnonzero(~dark).tolist():
         made = read(times[samples[k]])(matrices[k], poses[k])
         lights[samples[k]] = (
-            replace(made, gobo=gobos[samples[k]]) if isinstance(made, Sun) else made
+            replace(made, gobo=gobos[samples[k]], time=clocks[samples[k]])
+            if isinstance(made, Sun)
+            else made
         )
     return lights
+
+
+def _solar_times(prim: Usd.Prim, times: list[Usd.TimeCode]) -> list[SolarTime | None]:
+    """Returns what the light says that the time is, at each time.
+
+    Raises:
+        StageError: A value is none.
+    """
+    found = {
+        field: (prim.GetAttribute(name), kind)
+        for field, (name, kind) in names.SOLAR_TIME.items()
+        if prim.HasAttribute(name)
+    }
+    if not {"body", "time_utc", "solar_time_h", "mean_solar_time_h"} <= found.keys():
+        return [None] * len(times)
+
+    def read(time: Usd.TimeCode) -> SolarTime:
+        fields: dict[str, Any] = {
+            field: values.number(attribute, 0.0, time)
+            if kind == "Double"
+            else values.word(attribute, "", time)
+            for field, (attribute, kind) in found.items()
+        }
+        return SolarTime(**fields)
+
+    return [read(time) for time in times]
 
 
 def _gobos(

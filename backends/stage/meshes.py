@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdShade
 
 from scenec.backends.stage import values
+from scenec.backends.stage.corners import MeshCorners
 from scenec.backends.stage.curves import read_curves
 from scenec.backends.stage.deforming import TOO_MANY, Deformations, ShapePose, is_skinned
 from scenec.backends.stage.implicit import dimensions, tessellate
 from scenec.backends.stage.labels import LabelTable, face_labels, prim_labels
-from scenec.backends.stage.scene import Maps, Mesh, Surface
+from scenec.backends.stage.scene import Mesh, Surface
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.subdivided import (
     FAR,
     MeshPolygons,
-    at_corners,
     on_limit,
     read_polygons,
     refined,
@@ -28,6 +28,8 @@ from scenec.backends.stage.surfaces import (
     bound_material,
     bound_surface,
     display_color,
+    display_opacity_threshold,
+    is_absent,
     read_height_blends,
     read_layers,
     read_variation,
@@ -39,8 +41,12 @@ from scenec.schemas.errors import StageError
 from scenec.schemas.polygons import triangulate
 from scenec.schemas.subdivision import Refined
 
+#: In place of a surface, of faces that are not there.
+_ABSENT = -1
 #: Triangles of all poses of the shapes of a stage that deform, beyond their first ones.
 _MOST_POSED = 1 << 24
+#: Matrices of the rows of all poses, one a sample: 400 MB.
+_MOST_MATRICES = 1 << 22
 #: What is said of colors that are not shown one by one.
 MISFIT = "displayColor of another length than its shape needs is shown as its mean"
 
@@ -74,7 +80,9 @@ class MeshTable:
         self.meshes: list[Mesh] = []
         self._time = times[0]
         self._deformations = Deformations(times)
-        self._room = _MOST_POSED
+        self._room, self._matrices, self._samples = _MOST_POSED, _MOST_MATRICES, len(times)
+        #: How often what is added now stands somewhere.
+        self.copies = 1
         #: Of a shape that deforms: the meshes that are one part of it, pose by pose, and which of
         #: them is there at each sample, int64 [samples].
         self.families: list[tuple[tuple[int, ...], NDArray[np.int64]]] = []
@@ -102,7 +110,7 @@ class MeshTable:
             StageError: Its arrays contradict each other, or hold NaN; or a length cannot be.
         """
         source = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
-        bound = bound_material(prim)
+        bound = bound_material(prim, self._sources)
         key: tuple[object, ...] = (
             source.GetPath(),
             tuple(sorted(inherited.items())),
@@ -118,6 +126,8 @@ class MeshTable:
         if key not in self._known:
             self.unread.shape(prim, bound)
             self.unread.material(bound)
+            if not prim.IsA(UsdGeom.Mesh) and (is_absent(bound) or _is_clear(prim, bound)):
+                return self._known.setdefault(key, [ShapeParts([])])
             if prim.IsA(UsdGeom.BasisCurves):
                 return self._known.setdefault(key, self._curves(prim, inherited))
             if not prim.IsA(UsdGeom.Mesh):
@@ -144,9 +154,13 @@ class MeshTable:
         self, prim: Usd.Prim, poses: list[ShapePose], lost: str, triangles: int
     ) -> list[ShapePose]:
         """A shape's poses, or the first where all would be too much."""
-        if triangles * (len(poses) - 1) > self._room:
+        more = len(poses) - 1
+        matrices = more * self._samples * self.copies
+        if triangles * more > self._room or matrices > self._matrices:
             poses, lost = [replace(poses[0], shown=None)], TOO_MANY
-        self._room -= triangles * (len(poses) - 1)
+        else:
+            self._room -= triangles * more
+            self._matrices -= matrices
         if lost:
             self.unread.add(lost, prim)
         return poses
@@ -201,7 +215,7 @@ class MeshTable:
         tubes = curves.tubes(poses[0].points)
         for line in curves.lines:
             self.unread.add(line, prim)
-        color, bound = None, bound_material(prim)
+        color, bound = None, bound_material(prim, self._sources)
         primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
         if shows_display_color(bound) and not all_equal(primvar):
             found = values.flattened(primvar, np.float32, self._time, width=(3,))
@@ -263,7 +277,7 @@ class MeshTable:
             # Its own once the mesh's colors are known.
             indices_of_layers = ()
 
-        coordinates = _Coordinates(mesh, corners, faces, authored, read, surface, time)
+        coordinates = MeshCorners(mesh, corners, faces, authored, read, surface, time)
         same = len(read.counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
         whole = Mesh(
             path=str(prim.GetPath()),
@@ -290,16 +304,26 @@ class MeshTable:
         mesh: UsdGeom.Mesh,
         source: Mesh,
         authored: NDArray[np.int32],
-        coordinates: _Coordinates,
+        coordinates: MeshCorners,
     ) -> list[_Part]:
         """Splits a mesh whose subsets are bound to several materials."""
         subsets = UsdShade.MaterialBindingAPI(mesh.GetPrim()).GetMaterialBindSubsets()
         count = int(authored.max(initial=-1)) + 1
         # Surfaces that show displayColor as it varies over the mesh.
         varied: set[int] = set()
+        # Of those whose opacity is displayOpacity, the least that is shown.
+        least: dict[int, float] = {}
 
         def index(prim: Usd.Prim) -> int:
-            shows = shows_display_color(bound_material(prim))
+            bound = bound_material(prim, self._sources)
+            number = _ABSENT if is_absent(bound) else colored(prim, bound)
+            threshold = display_opacity_threshold(bound)
+            if threshold is not None:
+                least[number] = threshold
+            return number
+
+        def colored(prim: Usd.Prim, bound: UsdShade.Material) -> int:
+            shows = shows_display_color(bound)
             if not shows or self._display_color(coordinates) is None:
                 return self._index(bound_surface(prim, self._sources))
             number = self._index(bound_surface(prim, self._sources, (1.0, 1.0, 1.0)))
@@ -314,28 +338,43 @@ class MeshTable:
             chosen = values.array(subset.GetIndicesAttr(), np.int64, self._time)
             chosen = chosen[(chosen >= 0) & (chosen < count)]
             surface[chosen] = index(subset.GetPrim())
-            self.unread.material(bound_material(subset.GetPrim()))
+            self.unread.material(bound_material(subset.GetPrim(), self._sources))
         of_triangle = surface[authored]
-        used = np.unique(of_triangle)
+        opacity = coordinates.opacity() if least else None
+        if opacity is not None:
+            for number, threshold in least.items():
+                of_triangle[(of_triangle == number) & (opacity < threshold)] = _ABSENT
+        whole_mesh = bool((of_triangle != _ABSENT).all())
+        used = np.unique(of_triangle[of_triangle != _ABSENT])
         known = list(self.surfaces)
         uv = {s: coordinates.of([known[s]]) for s in used.tolist()}
         shown = self._display_color(coordinates) if varied else None
-        colored = {s: shown if s in varied else source.color for s in uv}
-        if len(used) <= 1:
-            parts = [replace(source, layers=(s,), uv=uv[s], color=colored[s]) for s in uv]
+        colors = {s: shown if s in varied else source.color for s in uv}
+        if len(used) <= 1 and whole_mesh and whole != _ABSENT:
+            parts = [replace(source, layers=(s,), uv=uv[s], color=colors[s]) for s in uv]
             return [(part, slice(None)) for part in parts or [replace(source, layers=(whole,))]]
         return [
-            _part(replace(source, color=colored[s]), authored, of_triangle == s, s, uv[s])
+            _part(replace(source, color=colors[s]), authored, of_triangle == s, s, uv[s])
             for s in uv
         ]
 
-    def _display_color(self, coordinates: _Coordinates) -> NDArray[np.float32] | None:
+    def _display_color(self, coordinates: MeshCorners) -> NDArray[np.float32] | None:
         """DisplayColor at corners where it varies; None where it does not, or does not fit."""
         try:
             return coordinates.color("displayColor")
         except StageError:
             self.unread.add(MISFIT, coordinates.mesh.GetPrim())
             return None
+
+
+def _is_clear(prim: Usd.Prim, bound: UsdShade.Material) -> bool:
+    """Whether the mean displayOpacity of a shape that is no mesh is below what is shown."""
+    threshold = display_opacity_threshold(bound)
+    primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayOpacity")
+    if threshold is None or not primvar or not primvar.HasValue():
+        return False
+    found = values.array(primvar.GetAttr(), np.float64, Usd.TimeCode.EarliestTime())
+    return len(found) > 0 and float(found.mean()) < threshold
 
 
 def _part(
@@ -401,92 +440,3 @@ def _normals(
     if not smooth or len(normals) != point_count or not np.isfinite(normals).all():
         return None
     return normals
-
-
-@dataclass(frozen=True)
-class _Coordinates:
-    """Texture coordinates of a mesh, read where a surface asks for them.
-
-    Attributes:
-        mesh: The mesh.
-        corners: Which of ``faceVertexIndices`` each triangle's are, int32 [m, 3].
-        faces: Vertices of each triangle, int32 [m, 3].
-        authored: Polygon of each triangle, int32 [m].
-        read: The mesh's polygons.
-        surface: What they were refined to.
-        time: When.
-    """
-
-    mesh: UsdGeom.Mesh
-    corners: NDArray[np.int32]
-    faces: NDArray[np.int32]
-    authored: NDArray[np.int32]
-    read: MeshPolygons
-    surface: Refined | None
-    time: Usd.TimeCode
-
-    def of(self, surfaces: Sequence[Surface]) -> NDArray[np.float32] | None:
-        """Returns texture coordinates of the first surface whose maps use them, float32 [m, 3, 2].
-
-        None where no surface has such maps.
-
-        Raises:
-            StageError: They are missing (from a mesh with a material of ours), of another length
-                than the mesh needs, or not finite.
-        """
-        for surface in surfaces:
-            if surface.maps is not None and surface.maps.projection == "uv":
-                uv = self._texture(surface, surface.maps.primvar)
-                if surface.maps.uv_transform == Maps(1.0).uv_transform:
-                    return uv
-                a, b, c, d, e, f = surface.maps.uv_transform
-                u, v = uv[..., 0].astype(np.float64), uv[..., 1].astype(np.float64)
-                turned = np.stack([a * u + b * v + c, d * u + e * v + f], axis=-1)
-                return turned.astype(np.float32)
-        return None
-
-    def color(self, name: str) -> NDArray[np.float32] | None:
-        """Colors of the corners, float32 [m, 3, 3]; None without any, or where all are the same.
-
-        Raises:
-            StageError: They are of another length than the mesh needs, or not finite.
-        """
-        primvar = UsdGeom.PrimvarsAPI(self.mesh.GetPrim()).FindPrimvarWithInheritance(name)
-        if not primvar or not primvar.HasValue() or all_equal(primvar):
-            return None
-        return self._spread(primvar, 3)
-
-    def _texture(self, surface: Surface, name: str) -> NDArray[np.float32]:
-        prim = self.mesh.GetPrim()
-        primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
-        if not primvar or not primvar.HasValue():
-            material = prim.GetStage().GetPrimAtPath(surface.path) if surface.path else None
-            if material and material.HasAttribute(names.ATTR_MAP_PROJECTION):
-                raise StageError(
-                    f"{prim.GetPath()}: {surface.path} lays maps by texture coordinates, and the "
-                    f"mesh has no primvar {name}"
-                )
-            # What UsdPrimvarReader_float2 gives where there is none.
-            return np.zeros((len(self.faces), 3, 2), np.float32)
-        return self._spread(primvar, 2)
-
-    def _spread(self, primvar: UsdGeom.Primvar, width: int) -> NDArray[np.float32]:
-        """A primvar's values at the corners of triangles, [m, 3, width]."""
-        found = values.flattened(primvar, np.float32, self.time, width=(width,))
-        kind = primvar.GetInterpolation()
-        tokens = UsdGeom.Tokens
-        needed, at = len(self.read.points), self.faces
-        if kind == tokens.faceVarying:
-            needed, at = len(self.read.indices), self.corners
-        elif kind == tokens.uniform:
-            needed, at = len(self.read.counts), np.repeat(self.authored[:, None], 3, axis=1)
-        elif kind == tokens.constant:
-            needed, at = 1, np.zeros_like(self.faces)
-        if len(found) != needed or not np.isfinite(found).all():
-            raise StageError(
-                f"{self.mesh.GetPath()}: primvar {primvar.GetPrimvarName()} ({kind}) must hold "
-                f"{needed} finite {('pairs of numbers', 'colors')[width - 2]}, has {len(found)}"
-            )
-        if self.surface is not None and kind not in (tokens.uniform, tokens.constant):
-            found, at = at_corners(self.surface, primvar, found, self.read, self.time), self.corners
-        return np.ascontiguousarray(found[at])

@@ -24,6 +24,7 @@ from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
 from scenec.schemas.lidar import LidarDetection, LidarFootprint, LidarIntensity
+from scenec.schemas.records import SolarTime
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.vehicle import Vehicle
 
@@ -448,6 +449,7 @@ class Sun:
         diameter_rad: Full angular diameter; 0 is a point.
         path, normalized: Of the prim; whether its intensity is an irradiance, not a radiance.
         gobo: What it shines through; None: nothing.
+        time: What time it is there, of a sun that was computed for a place and a time.
     """
 
     to_light: NDArray[np.float64]
@@ -456,6 +458,7 @@ class Sun:
     path: str = ""
     normalized: bool = True
     gobo: Gobo | None = None
+    time: SolarTime | None = None
 
 
 #: A dome's frame stood up: its pole, +Y, goes to +Z, as OrientToStageUpAxis does.

@@ -49,12 +49,19 @@ class Materials:
             known[name], notes = self._numbers(found)
             if found.maps is not None:
                 known[name]["maps"] = self._maps(name, found.maps, known[name])
+                if found.cutout and found.cutout.opacity_wrap != ("repeat", "repeat"):
+                    notes.append("its mask repeats beyond the picture")
             self._names[surface] = name
             self._report(found, name, notes)
         return self._names[surface]
 
-    def of_ground(self, surface: int) -> None:
-        """Makes the material of the ground, which has no texture coordinates."""
+    def of_ground(self, surface: int, colors: NDArray[np.float64] | None = None) -> None:
+        """Makes the material of the ground, which has no texture coordinates.
+
+        Args:
+            surface: Index of its surface; -1: the default one.
+            colors: The mean of its vertices' colors, [3], where they vary.
+        """
         found = self._surface(surface)
         to = "materials/ground"
         if found == Surface("", DEFAULT_SURFACE.base_color, 0.0, 1.0, 0.0):
@@ -62,6 +69,12 @@ class Materials:
             self._imported.report.added(to, "soil: the ground has neither material nor color")
             return
         made, notes = self._numbers(found)
+        if colors is not None:
+            factors = zip(made["base_color"], colors.tolist(), strict=True)
+            made["base_color"] = [tidy(min(a * b, 1.0)) for a, b in factors]
+            notes.append("the mean of its vertices' colors")
+        if found.cutout:
+            notes.append("its mask is left out")
         if found.maps is not None:
             made |= self._means(found.maps, made)
             notes.append("the means of its pictures: ground has no texture coordinates")
@@ -111,7 +124,7 @@ class Materials:
         readings = dict(described.readings)
         for kind in maps.MAP_CHANNELS:
             file, reading = getattr(described, kind), readings.get(kind, _PLAIN)
-            if file is None or kind in ("height", "opacity"):
+            if file is None or kind == "height":
                 continue
             of_color = kind in maps.COLORS and reading == Reading(scale=reading.scale)
             most = 1.0 if kind == "base_color" else np.inf
@@ -125,6 +138,8 @@ class Materials:
             else:
                 write = _writer(file, kind, reading)
                 entry[kind] = self._imported.make(f"{name}_{kind}.exr", write)
+        if "opacity" in entry:
+            entry["opacity_threshold"] = tidy(described.opacity_threshold)
         return entry
 
     def _means(self, described: Maps, numbers: dict[str, Any]) -> dict[str, Any]:
@@ -163,7 +178,7 @@ def _values(file: Path, kind: str, reading: Reading) -> NDArray[np.float32]:
         except ValueError as error:
             raise ScenecError(f"{file}: {error}") from error
     try:
-        pixels = maps.read_pixels(file)
+        pixels = maps.read_pixels(file, alpha=reading.channel == "a")
     except ValueError as error:
         raise ScenecError(f"{file}: {error}") from error
     values = maps.meant(pixels, kind, reading.srgb, reading.scale, reading.bias, reading.channel)

@@ -14,7 +14,7 @@ import bpy
 def render(stage, camera, time, width, height, file):
     """Writes one picture: color and alpha, and depth along the axis, sampled at pixel centers."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.wm.usd_import(filepath=stage, set_frame_range=True, import_guide=False)
+    bpy.ops.wm.usd_import(filepath=stage, import_subdivision=True)
     scene = bpy.context.scene
     scene.camera = bpy.data.objects[camera]
     scene.camera.data.clip_start, scene.camera.data.clip_end = 0.001, 1e6

@@ -186,9 +186,10 @@ def volumes(page: Page) -> None:
         mine, other = mine[full], other[full]
         errors.setdefault(elevation, []).append(100.0 * (mine.mean() / other.mean() - 1.0))
     said = (
-        f"{min(e):+.0f} to {max(e):+.0f} % with the sun at {sun:g}°" for sun, e in errors.items()
+        f"{' to '.join(f'{error:+.0f}' for error in sorted({min(e), max(e)}))} % at {sun:g}°"
+        for sun, e in errors.items()
     )
-    page.value("cloud_volumes", ", ".join(said))
+    page.value("cloud_volumes", ", ".join(said) + " of the sun")
 
 
 def _blocks(picture: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ from scenec.compiler.light.atmosphere_planets import MEDIA
 from scenec.compiler.light.atmosphere_spectra import weights
 from scenec.compiler.light.latlong import luminance
 from scenec.lab.runner import Page, run
+from scenec.testing import photons
 
 SAND, RUST = (0.3, 0.26, 0.22), (0.3, 0.16, 0.09)
 #: Planet, elevation of the sun, altitude, factors on air, dust, ozone.
@@ -75,5 +76,21 @@ def pictures(page: Page) -> None:
     page.value("sky_cost", f"{single:.2f} s; `multiple`: {both:.2f} s")
 
 
+def several(page: Page) -> None:
+    """Skylight on the ground under dust, against photons followed one by one."""
+    errors: dict[bool, list[float]] = {False: [], True: []}
+    for depth, albedo, forward, g in photons.SLABS:
+        medium = photons.gray_dust(depth, albedo, forward, g)
+        for elevation in (15.0, 30.0, 60.0):
+            sine = float(np.sin(np.radians(elevation)))
+            rng = np.random.default_rng(1)
+            truth = sine * photons.scattered_down(rng, depth, albedo, forward, g, sine)
+            for both, found in errors.items():
+                light = photons.level_irradiance(medium, elevation, both)
+                found.append(100.0 * (light / truth - 1.0))
+    once, more = (f"{min(found):+.0f} to {max(found):+.0f} %" for found in errors.values())
+    page.value("photons", f"{more} (`single`: {once})")
+
+
 if __name__ == "__main__":
-    run(lambda page: page.refresh((), (pictures,)), page="light")
+    run(lambda page: page.refresh((), (pictures, several)), page="light")

@@ -21,14 +21,12 @@ PAGES = ("README.md", TUTORIAL, RECIPES, *OTHERS)
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 FIRST_OUT = "out/first"
-SWEEP = "scenec sweep mine.jsonc --set light.sun.elevation_deg=10,30,60"
 ENVIRONMENT = "it makes the environment that the tests run in"
 #: Every block of these pages that is not run, by what it begins with, and why.
 NOT_RUN = {
     "make demo": ENVIRONMENT,
     "git clone YOUR-COPY-OF-SCENEC scenec && cd scenec": ENVIRONMENT,
-    f"{SWEEP} --set terrain.spacing_m=0.1,0.2 --seeds 0:5 -o OUT": "a recipe runs a smaller sweep",
-    "scenec evaluate detections.json --against dataset": "there are no predictions of a network here",
+    "scenec evaluate detections.json --against dataset": "no network has predicted anything here",
     "import torch": "PyTorch takes gigabytes and is not among what scenec installs",
 }
 

@@ -87,9 +87,16 @@ def test_a_subdivided_skin_is_the_limit_surface_of_the_posed_cage(tmp_path):
     assert {len(mesh.faces) for mesh in scene.meshes if mesh.path} == {len(shown.faces)}
 
 
-def test_normals_turn_with_the_skin(tmp_path):
+@pytest.mark.parametrize("order", [None, (2, 0, 1)])
+def test_normals_turn_with_the_skin(tmp_path, order):
     def build(stage):
         skin = arm.write_arm(stage)
+        if order is not None:
+            # Joints in an order of the mesh's own.
+            binding = UsdSkel.BindingAPI(skin.GetPrim())
+            binding.CreateJointsAttr([arm.JOINTS[k] for k in order])
+            own = np.argsort(order)[arm.influences()[0]]
+            binding.GetJointIndicesPrimvar().Set(own.ravel().tolist())
         points = arm.rest_points()
         bind = arm.bind_matrix()
         outward = points @ bind[:3, :3].T + bind[:3, 3]
@@ -226,11 +233,12 @@ def test_what_cannot_be_posed_stands_still_and_is_told(tmp_path, build, line):
     assert told.startswith(line)
 
 
-def test_a_shape_of_too_many_triangles_keeps_its_first_pose(tmp_path, monkeypatch):
-    monkeypatch.setattr(meshes, "_MOST_POSED", 500)
+@pytest.mark.parametrize("limit", ["_MOST_POSED", "_MOST_MATRICES"])
+def test_a_shape_of_too_many_poses_keeps_its_first_one(tmp_path, monkeypatch, limit):
+    monkeypatch.setattr(meshes, limit, 11)
     scene = opened(tmp_path, armed)
     assert scene.rows.motion is None
-    assert scene.losses[0].startswith("a shape of too many triangles")
+    assert scene.losses[0].startswith("a shape of too many poses")
     (points,) = world_points(scene, 3, "/Root/arm/skin")
     np.testing.assert_allclose(points, arm.points_by_hand(0), atol=3e-6)
 

@@ -349,22 +349,26 @@ def test_colors_and_opacities_of_a_usd_mesh_without_a_material_are_told(tmp_path
     assert told(tmp_path, "a.usda") == []
 
 
-def test_colors_that_a_usd_material_takes_from_vertices_are_told(tmp_path):
+@pytest.mark.parametrize("name", ["displayColor", "Cd"])
+def test_colors_that_a_usd_material_takes_from_vertices_are_read_or_told(tmp_path, name):
     stage, mesh = quad_stage(tmp_path / "a.usda")
+    mesh.CreateDisplayColorPrimvar("vertex").Set([(1, 0, 0), (1, 0, 0), (0, 0, 1), (0, 0, 1)])
     types = Sdf.ValueTypeNames
     material = UsdShade.Material.Define(stage, "/paint")
     shader, reader = (UsdShade.Shader.Define(stage, f"/paint/{name}") for name in "sr")
     shader.CreateIdAttr("UsdPreviewSurface")
     reader.CreateIdAttr("UsdPrimvarReader_float3")
-    reader.CreateInput("varname", types.String).Set("displayColor")
+    reader.CreateInput("varname", types.String).Set(name)
     shader.CreateInput("diffuseColor", types.Color3f).ConnectToSource(
         reader.CreateOutput("result", types.Float3)
     )
     material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", types.Token))
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     stage.Save()
+    shown = name == "displayColor"
     lost = "a.usda: material 'paint': the colors of its vertices are left out"
-    assert told(tmp_path, "a.usda") == [lost]
+    assert told(tmp_path, "a.usda") == ([] if shown else [lost])
+    assert (read_model(tmp_path / "a.usda").colors is not None) == shown
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply", "glb"])
