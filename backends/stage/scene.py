@@ -40,12 +40,15 @@ class Reading:
         channel: "r", "g", "b" or "a": where a single number stands.
         srgb: Whether they are in sRGB's transfer function; None: as ``Maps`` says.
         scale, bias: value * scale + bias is what is meant; of each channel, [3].
+        tiles: Columns and rows of UDIM tiles that the material's texture coordinates span, which
+            ``Maps.uv_transform`` brings into the unit square: a picture that is no tile repeats.
     """
 
     channel: str = "r"
     srgb: bool | None = None
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tiles: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
