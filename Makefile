@@ -12,7 +12,7 @@ EXAMPLES := quick
 BENCHMARKS := adapters agreement annotation cold cutouts datasets estimate exposure foliage growth imaging \
   incremental optics preview prune throughput
 EXPERIMENTS := head_to_head ego_motion segmentation instances
-PAGES := numerics relief placement photographs sky clouds haze motion extremes converge leaving_out errors
+PAGES := numerics relief photographs sky clouds haze motion extremes converge leaving_out errors
 
 .DEFAULT_GOAL := help
 .PHONY: help setup pythons demo test thorough lint types unit audit browser format bench docs site pictures experiments lock gpu wheel clean distclean
@@ -93,8 +93,8 @@ experiments: setup  ## The experiments of docs/experiments.md, in their small fo
 	  echo "== Experiment: $$name"; .venv/bin/python lab/experiments/$$name.py; \
 	done
 
-pictures: setup  ## Render the README's picture, docs/gallery.md, docs/figures.md, rocks.md, lights.md and assets.md.
-	@set -e; for name in gallery figures rocks lights assets; do \
+pictures: setup  ## Render the README's picture, docs/gallery.md, docs/figures.md, light.md, objects.md and assets.md.
+	@set -e; for name in gallery figures lights rocks densities assets; do \
 	  echo "== Rendering: $$name"; .venv/bin/python lab/pages/$$name.py; \
 	done
 

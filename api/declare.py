@@ -13,6 +13,7 @@ from typing import Any, Concatenate
 
 from scenec.api.listener import Listener
 from scenec.schemas.errors import ScenecError
+from scenec.schemas.spelling import nearest
 
 
 def option(default: Any, help: str, **facts: Any) -> Any:
@@ -205,8 +206,8 @@ class Spread[**P, T: CallOptions]:
         record: Callable[..., T] = self._record
 
         before = list(inspect.signature(function).parameters.values())[:-1]
-        after = inspect.signature(record).parameters.values()
-        signature = inspect.signature(function).replace(parameters=[*before, *after])
+        after = inspect.signature(record).parameters
+        signature = inspect.signature(function).replace(parameters=[*before, *after.values()])
 
         @wraps(function)
         def call(*args: Any, **options: Any) -> Any:
@@ -217,6 +218,11 @@ class Spread[**P, T: CallOptions]:
             args = (*args, *map(options.pop, named))
             for parameter, value in zip(before, args, strict=True):
                 require(parameter.name, value, str(parameter.annotation))
+            unknown = [name for name in options if name not in after]
+            if unknown:
+                # Python would speak of the record, which nobody gave.
+                said = nearest(unknown[0], [*(p.name for p in before), *after])
+                raise TypeError(f"{function.__name__}() has no argument {unknown[0]!r}{said}")
             made = record(**options)
             if made.listener.flags:
                 return function(*args, made)

@@ -27,6 +27,7 @@ from scenec.schemas.codec import JsonObject
 from scenec.schemas.manifest import REPORT, Batch, find_batches
 from scenec.schemas.records import FrameRecord
 from scenec.schemas.report import BatchReport, read_output_record
+from scenec.schemas.spelling import nearest, shown
 
 #: Pixels that a shown picture is wide at most.
 _WIDE = 480
@@ -131,8 +132,10 @@ class FrameView:
         """A pass by name: ``rgb``, ``depth`` and so on.
 
         Raises:
-            KeyError: The frame has none of this name.
+            KeyError: The frame has none of this name; says which it has.
         """
+        if name not in self.loaded.passes:
+            raise KeyError(f"{self.ref.key} has no pass {shown(name)}{nearest(name, self.passes)}")
         return self.loaded.passes[name]
 
     @property

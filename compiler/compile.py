@@ -19,7 +19,7 @@ from scenec.compiler.views.needed import Keep
 from scenec.schemas.errors import ScenecError, SceneError
 from scenec.schemas.files import temporary_folder
 from scenec.schemas.report import BatchReport
-from scenec.schemas.strays import cut_short, stray_line, stray_scans, strays
+from scenec.schemas.strays import stray_line, stray_scans, strays
 from scenec.schemas.units import Executor, Keeper, LocalExecutor, Outcome, Say, Unit, run_all
 
 Tell = Callable[[str, tuple[int, int] | None], None]
@@ -163,7 +163,6 @@ def compile_cfg(
                 report.made[name], report.taken[name] = compiled.made, compiled.taken
             # After each batch: what an interrupted run has finished can be gone on with.
             output.write_timings(report.seconds)
-        left_over += cut_short(out)
         if not done:
             reason = next(iter(failed.values()))
             raise SceneError(f"none of {len(chosen)} batches can be built; the first: {reason}")

@@ -40,7 +40,7 @@ _TRIANGLE: Final = (45.0, 0.5e-6)
 #: Of all pictures, and of the one that is being made.
 _SKY_PIXEL: Final = (22.0, 1e-6)
 _SKY_BAKE: Final = 45.0
-#: With cumulus, and of cirrus alone (``docs/clouds.md``).
+#: With cumulus, and of cirrus alone (``docs/light.md``).
 _CUMULUS_PIXEL: Final = (22.0, 4e-6)
 _CIRRUS_PIXEL: Final = (22.0, 0.3e-6)
 _PROTOTYPE_TRIANGLE: Final = (60.0, 3e-6)

@@ -266,7 +266,7 @@ def _angle(of: bins.Bins, degrees: float, closed: float | None = None) -> Counts
 
 
 def _sun(frame: LoadedFrame, bounds: dict[str, list[float]]) -> Counts:
-    """Counts the sun's direction; nothing where an old version's sidecar does not have it."""
+    """Counts the sun's direction; nothing where the sidecar does not say it."""
     sun = frame.sidecar.sun
     if sun is UNSET:
         return {}

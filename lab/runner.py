@@ -295,6 +295,10 @@ class Page(Study):
         """Puts a text between ``<!--name-->`` and ``<!--/name-->``."""
         self._values[name] = text
 
+    def block(self, name: str, header: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
+        """Puts a table between ``<!--name-->`` and ``<!--/name-->``."""
+        self.value(name, f"\n\n{table(header, rows)}\n")
+
     def refresh(self, packages: Sequence[str], parts: Iterable[Callable[[Page], object]]) -> None:
         """Makes the parts, and writes the page anew with their tables, numbers and versions.
 
@@ -302,7 +306,8 @@ class Page(Study):
 
         Args:
             packages: Whose versions the page names, with the number of cores.
-            parts: Each calls ``rows`` and ``value``, table by table as they stand in the page.
+            parts: Each calls ``rows``, table by table as they stand in the page, or ``block`` where
+                the page has tables of others too, and ``value``.
 
         Raises:
             ScenecError: The page has other tables or marks than the parts.
@@ -319,11 +324,11 @@ class Page(Study):
         # Tables within marks are of values.
         spans = [m.span() for m in re.finditer(r"<!--(\w+)-->.*?<!--/\1-->", text, re.DOTALL)]
         found = [m for m in _TABLE.finditer(text) if not any(a < m.start() < b for a, b in spans)]
-        if len(found) != len(self._tables):
+        if self._tables and len(found) != len(self._tables):
             raise ScenecError(
                 f"docs/{self.name}.md: {len(found)} tables, {len(self._tables)} were made"
             )
-        for old, rows in reversed(list(zip(found, self._tables, strict=True))):
+        for old, rows in reversed(list(zip(found, self._tables, strict=False))):
             wide = old["line"].count("---")
             if rows is None:
                 continue

@@ -1,12 +1,13 @@
 """Pictures that vary a surface: what files are taken, and what their values mean.
 
-8-bit PNG, JPEG and TIFF, 16-bit gray PNG and TIFF, OpenEXR. Colors are sRGB in the former and
-linear Rec.709 in OpenEXR; all other kinds are raw.
+PNG, JPEG and TIFF of 8 or 16 bits, OpenEXR. Colors are sRGB in the former and linear Rec.709 in
+OpenEXR; all other kinds are raw. Pillow reads 16 bits in gray alone; in color rasterio does.
 """
 
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ MAP_CHANNELS = {
 }
 #: Kinds that hold colors: sRGB but for floating pictures, which are linear.
 COLORS = ("base_color", "emission")
-_LARGEST = 16384
+#: Texels along a side of a picture, at most.
+LARGEST = 16384
 #: Pixels of a picture that is no map, at most: twice the usual limit of Pillow, as it has it.
 MOST_PIXELS = 2 * (1024**3 // 4 // 3)
 
@@ -46,7 +48,7 @@ def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
     """
     if isinstance(path, Path) and is_packaged(path):
         with as_file(path) as file:
-            return read_pixels(file)
+            return read_pixels(file, alpha)
     if isinstance(path, Path) and path.suffix.lower() == ".exr":
         # Imported here: few pictures are.
         from scenec.schemas.exr import read_rgb
@@ -61,8 +63,10 @@ def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
 
     try:
         with Image.open(io.BytesIO(path) if isinstance(path, bytes) else path) as image:
-            if max(image.size) > _LARGEST:
-                raise ValueError(f"{image.size[0]} x {image.size[1]} pixels: at most {_LARGEST}")
+            if max(image.size) > LARGEST:
+                raise ValueError(f"{image.size[0]} x {image.size[1]} pixels: at most {LARGEST}")
+            if is_fine_color(image):
+                return _fine_pixels(path, alpha)
             if alpha and not ("A" in image.getbands() or "transparency" in image.info):
                 return np.full((image.height, image.width, 1), 255, np.uint8)
             if alpha:
@@ -95,22 +99,41 @@ def require_size(image: Any) -> None:
         raise Image.DecompressionBombError(f"{image.width} x {image.height} pixels")
 
 
-def require_all_bits(path: Path) -> None:
-    """Refuses a picture in color of 16 bits a channel, of which ``read_pixels`` keeps 8.
+def is_fine_color(image: Any) -> bool:
+    """Whether an opened picture has 16 bits and more than gray, of which Pillow keeps 8 bits.
 
-    Raises:
-        ValueError: It is one.
+    Args:
+        image: Of Pillow, of which nothing is loaded.
     """
-    from PIL import Image
+    in_16_bits = any(";16" in str(tile[3]) for tile in image.tile)
+    return in_16_bits and not image.mode.startswith("I")
 
-    if path.suffix.lower() == ".exr":
-        return
-    with Image.open(path) as image:
-        if not image.mode.startswith("I") and any(";16" in str(tile[3]) for tile in image.tile):
-            raise ValueError(
-                "16 bits a channel, of which a reader of pictures in color keeps 8: store it as "
-                "plain gray, without alpha"
-            )
+
+def _fine_pixels(path: Path | bytes, alpha: bool) -> NDArray:
+    """Reads a PNG or TIFF of 16 bits in color, or in gray with alpha; as ``read_pixels``."""
+    try:
+        import rasterio
+        from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    except ModuleNotFoundError:
+        raise ValueError(
+            "16 bits a channel in color: reading it needs the extra 'geotiff' (pip install "
+            "'scenec[geotiff]'); OpenEXR and 8 bits do not"
+        ) from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            alone = rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR", GDAL_PAM_ENABLED="NO")
+            file = path if isinstance(path, Path) else io.BytesIO(path)
+            with alone, rasterio.open(file) as source:
+                bands = np.moveaxis(source.read(), 0, -1)
+    except RasterioError as error:
+        raise ValueError(f"not a readable picture: {error}") from error
+    colors = bands.shape[2] - (bands.shape[2] % 2 == 0)
+    if not alpha:
+        return np.ascontiguousarray(bands[..., :colors])
+    if bands.shape[2] > colors:
+        return np.ascontiguousarray(bands[..., colors:])
+    return np.full((*bands.shape[:2], 1), 65535, np.uint16)
 
 
 def meant(

@@ -32,7 +32,10 @@ class NodeType:
 
 #: By ``info:id``. USD has no type for BSDFs and shaders: they are tokens, as in UsdMtlx.
 NODES: dict[str, NodeType] = {
-    "ND_surface": NodeType({"bsdf": "token"}, "token"),
+    "ND_surface": NodeType({"bsdf": "token", "opacity": "float"}, "token"),
+    "ND_ifgreatereq_float": NodeType(
+        {"value1": "float", "value2": "float", "in1": "float", "in2": "float"}, "float"
+    ),
     "ND_mix_bsdf": NodeType({"fg": "token", "bg": "token", "mix": "float"}, "token"),
     "ND_add_bsdf": NodeType({"in1": "token", "in2": "token"}, "token"),
     "ND_oren_nayar_diffuse_bsdf": NodeType(
@@ -48,7 +51,10 @@ NODES: dict[str, NodeType] = {
     "ND_roughness_anisotropy": NodeType({"roughness": "float"}, "float2"),
     "ND_geompropvalue_float": NodeType({"geomprop": "string", "default": "float"}, "float"),
     "ND_image_color3": NodeType({"file": "asset", "texcoord": "float2"}, "color3f"),
-    "ND_image_float": NodeType({"file": "asset", "texcoord": "float2"}, "float"),
+    "ND_image_float": NodeType(
+        {"file": "asset", "texcoord": "float2", "uaddressmode": "string", "vaddressmode": "string"},
+        "float",
+    ),
     "ND_image_vector3": NodeType({"file": "asset", "texcoord": "float2"}, "float3"),
     "ND_position_vector3": NodeType({"space": "string"}, "float3"),
     "ND_normal_vector3": NodeType({"space": "string"}, "float3"),

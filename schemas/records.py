@@ -87,12 +87,34 @@ class ShutterRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SolarTime:
+    """Says what time it is at the place of a sun that was computed.
+
+    Attributes:
+        body: On which the place is: "earth", "moon" or "mars".
+        time_utc: As ISO 8601 writes it.
+        solar_time_h: True solar time, in twenty-fourths of a day: 12 when the sun is due south or
+            north.
+        mean_solar_time_h: That of a sun that goes evenly: UT of Earth, MTC of Mars (Allison and
+            McEwen 2000), the mean elongation of the Moon, plus the eastern longitude.
+        ls_deg: Solar longitude, Mars's season; None elsewhere.
+    """
+
+    body: str
+    time_utc: str
+    solar_time_h: float
+    mean_solar_time_h: float
+    ls_deg: float | None = omitted()
+
+
+@dataclass(frozen=True, kw_only=True)
 class SunRecord:
     """The brightest sun: its direction, and irradiance on a surface facing it, W/m^2."""
 
     elevation_deg: float
     azimuth_deg: float
     irradiance: Row3
+    time: SolarTime | None = omitted()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,7 +330,7 @@ class BackendChoice:
 
     Attributes:
         backend: Name.
-        order: Names in the order of preference, and what that stands on; before 0.9 there was none.
+        order: Names in the order of preference, and what that stands on.
         left_out: Those before it that do not work here for what is asked, and why.
     """
 

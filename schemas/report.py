@@ -78,23 +78,13 @@ class CoverFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class FinerFacts:
-    """The surface between samples; earlier versions call what was found the largest there is."""
+    """The surface between samples: its error there, and at how many points it was looked at."""
 
     surface_error_rms_px: float
     checked_points: Natural
-    searched_points: Natural = 0
     finest_leg_m: float
-    surface_error_max_px: float | None = omitted()
-    surface_error_found_px: float | None = omitted(
-        needed=lambda given: "surface_error_max_px" not in given
-    )
-    surface_error_found_m: float = 0.0
-
-    @property
-    def found_px(self) -> float:
-        """The error at the worst point."""
-        new, old = self.surface_error_found_px, self.surface_error_max_px
-        return (old or 0.0) if new is None else new
+    surface_error_found_px: float
+    surface_error_found_m: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,6 +55,16 @@ GEOREFERENCE = {
     "error_m": ("scenec:georeference:error", "Double"),
 }
 
+#: On a DistantLight that was computed for a place and a time: fields of
+#: ``schemas.records.SolarTime``: the attribute, and its type. None is left out.
+SOLAR_TIME = {
+    "body": ("scenec:solarTime:body", "Token"),
+    "time_utc": ("scenec:solarTime:utc", "String"),
+    "solar_time_h": ("scenec:solarTime:true", "Double"),
+    "mean_solar_time_h": ("scenec:solarTime:mean", "Double"),
+    "ls_deg": ("scenec:solarTime:ls", "Double"),
+}
+
 #: On TERRAIN, where its relief has craters: fields of ``schemas.craters.CraterTable``, [n] each, in
 #: the world's meters: the attribute, and its type.
 CRATERS = {
@@ -107,6 +117,8 @@ ATTR_OPACITY_WRAP = "scenec:surface:maps:opacityWrap"
 WRAPS = ("repeat", "clamp", "mirror")
 #: Of opacity that a file means to be blended.
 OPACITY_THRESHOLD = 0.5
+#: Of a translated material's custom data: lines of what of it is not read.
+LOSSES = "scenec_losses"
 #: token, "above" where not authored: along the world's z (u = x / size, v = y / size), along its
 #: three axes, mixed by the shading normal's fourth powers, or by the mesh's primvar ``st``.
 ATTR_MAP_PROJECTION = "scenec:surface:maps:projection"

@@ -25,8 +25,6 @@ Stray = tuple[Path, str]
 _FILE = re.compile(
     r"([0-9]{6,})\.(?:json|exr|(?:clean\.|raw\.)?png|instances\.csv|(?:amodal\.)?npz|ply)"
 )
-#: What versions before 0.10 replaced a batch's folder by way of.
-_CUT_SHORT = re.compile(r"\.(batch_[0-9]{4,})\.[0-9a-f]{8}")
 
 
 def strays(folder: Path, firing: Firing, backend: str | None = None) -> Iterator[Stray]:
@@ -96,21 +94,6 @@ def count_rendered(folders: Iterable[Path]) -> tuple[int, int]:
     found = [path for folder in folders for path in _rendered(folder, "*.json")]
     scans = sum(path.parents[1].name == SCANS for path in found)
     return len(found) - scans, scans
-
-
-def cut_short(out: Path) -> Iterator[str]:
-    """A line about each hidden folder that a version before 0.10 left, killed amid a replacement.
-
-    It may hold all frames of the batch as it was, which nothing else remembers.
-    """
-    for path in sorted(out.glob(".batch_*")):
-        if (name := _CUT_SHORT.fullmatch(path.name)) and path.is_dir():
-            frames, scans = count_rendered([path])
-            yield (
-                f"{path}: {name[1]} as an interrupted compilation of scenec before 0.10 left it, "
-                f"with {frames} frames and {scans} scans; nothing reads it: move what is worth "
-                "keeping, and delete it"
-            )
 
 
 def _rendered(folder: Path, name: str) -> list[Path]:

@@ -161,19 +161,20 @@ def hanging(indices: Sequence[int], count: int) -> NDArray[np.int64]:
     return first[same.ravel()]
 
 
-def refine(authored: Cage, error: float = ERROR) -> Refined:
+def refine(authored: Cage, error: float = ERROR, levels: int | None = None) -> Refined:
     """Refines a cage until it is within an error of its limit surface, or has too many corners.
 
     Args:
         authored: Its indices are in range.
         error: As a share of the longest side of the cage's box.
+        levels: How often to split it, whatever the error is: that of another pose of it.
     """
     cage, chosen, polygon = _prepared(authored)
     mesh = _mesh_of(cage)
     kept = _shown(cage, mesh, polygon)
     size, (usual, first, most) = _size(cage), _RATIOS
     values = limit = before = cage.values
-    levels, off, deviation = 0, 0.0, 0.0
+    given, levels, off, deviation = levels, 0, 0.0, 0.0
     while size > 0.0:
         if 4 * len(mesh.corners) > MOST_CORNERS:
             off = off if levels else math.inf
@@ -186,11 +187,11 @@ def refine(authored: Cage, error: float = ERROR) -> Refined:
         last, deviation = deviation, _deviation(mesh, child, edges, limit)
         ratio = min(max(deviation / last, usual), most) if last else first
         off, before = deviation / (1.0 - ratio) + rest, limit
-        if off <= error * size:
+        if levels == given if given is not None else off <= error * size:
             limit = limit[: mesh.size]
             break
         mesh, levels, off = child, levels + 1, deviation * ratio / (1.0 - ratio) + rest
-        if off <= error * size:
+        if given is None and off <= error * size:
             break
     if levels:
         each = np.full_like(cage.counts, 4) if cage.scheme == "loop" else cage.counts

@@ -5,7 +5,10 @@ python testing/cfg_reference.py
 
 from __future__ import annotations
 
+import functools
 import json
+import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -31,9 +34,13 @@ scenec reports all of them at once, with line and column. Packages may add kinds
 densities, rocks, surfaces, poses and more: see [plug-ins](plugins.md).
 
 In the tables, *default* is the value of a key that you leave out: "required" means that you must
-give it, "none" that it has no value then. *Drawn* says how often a distribution is drawn that does
-not say `per` itself; in brackets stands what else `per` may be.
+give it, "none" that it has no value then. [0, 1) is an interval with 0 and without 1. In place of a
+[number](#number) a distribution may stand. It is drawn once a batch; "per sample" or "per instance"
+says where that is otherwise, and "or" what else its own `per` may be.
 """
+_COLUMNS = ("| key | type | default | description |", "|---|---|---|---|")
+#: Keys that are the same in as many kinds are told once, where the kinds are listed.
+_SHARED = 3
 
 
 def make() -> str:
@@ -81,31 +88,71 @@ def _references(schema: Any) -> Iterator[str]:
 def _section(name: str) -> str:
     schema = load_schemas()[name]
     lines = [f"## {schema['title']}", "", schema["description"], "", *_example(schema)]
+    home, shared = _shared().get(name, ("", {}))
     if name == NUMBER:
         for kind, definition in schema["$defs"].items():
             lines += [f"### {kind}", "", definition["description"], ""]
             lines += [*_example(definition), *_table(definition)]
     elif "allOf" in schema:
         lines += [f"{schema['properties']['type']['description'].rstrip('.')}, by `type`:", ""]
-        for branch in schema["allOf"]:
-            kind = branch["if"]["properties"]["type"]["const"]
-            target = load_schemas()[branch["then"]["$ref"]]
-            lines.append(f"- [`{kind}`](#{_anchor(target['title'])}): {target['description']}")
+        for kind, target in _kinds(schema).items():
+            brief = re.split(r"(?<=[.]) (?=[A-Z])", target["description"])[0]
+            lines.append(f"- [`{kind}`](#{_anchor(target['title'])}): {brief}")
         lines.append("")
+        if shared and home == name:
+            lines += ["Keys that several have:", "", *_table({"properties": shared})]
     elif "properties" in schema:
-        lines += _table(schema)
+        own = {key: of for key, of in schema["properties"].items() if key not in shared}
+        lines += _table({**schema, "properties": own})
+        if shared:
+            title = load_schemas()[home]["title"]
+            keys = ", ".join(f"`{key}`" for key in shared)
+            lines += [f"And {keys}, as said of [{title}](#{_anchor(title)}).", ""]
         if "$ref" in schema:
             title = load_schemas()[schema["$ref"]]["title"]
             lines += [f"And all keys of [{title}](#{_anchor(title)}).", ""]
     else:
         entry = schema["additionalProperties"]
-        lines += [
-            "| key | type | default | drawn | description |",
-            "| --- | --- | --- | --- | --- |",
-            *_rows("", {f"<{schema['x-name']}>": entry}, []),
-            "",
-        ]
+        lines += _table({"properties": {f"<{schema['x-name']}>": entry}})
     return "\n".join(lines)
+
+
+def _kinds(schema: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """The kinds that a schema chooses among, by their names."""
+    return {
+        branch["if"]["properties"]["type"]["const"]: load_schemas()[branch["then"]["$ref"]]
+        for branch in schema["allOf"]
+    }
+
+
+@functools.cache
+def _shared() -> dict[str, tuple[str, dict[str, Any]]]:
+    """For a kind and a list of kinds: the list that tells the keys they share, and these."""
+    found: dict[str, tuple[str, dict[str, Any]]] = {}
+    for name in _order(ROOT):
+        refs = [branch["then"]["$ref"] for branch in load_schemas()[name].get("allOf", ())]
+        kinds = {ref: _row_of_each(load_schemas()[ref]) for ref in refs if ref not in found}
+        count = Counter(row for rows in kinds.values() for row in rows)
+        told: dict[str, Any] = {}
+        for ref, rows in kinds.items():
+            shared = {
+                key: entry
+                for row, (key, entry) in rows.items()
+                if count[row] >= _SHARED and told.get(key, entry) == entry
+            }
+            found[ref] = (name, shared)
+            told |= shared
+        if told:
+            found[name] = (name, told)
+    return found
+
+
+def _row_of_each(schema: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
+    """The keys of a schema and what they are, by their row in its table."""
+    required = schema.get("required", [])
+    keys = {key: of for key, of in schema.get("properties", {}).items() if "properties" not in of}
+    rows = {key: "".join(_rows("", {key: of}, required)) for key, of in keys.items()}
+    return {row: (key, keys[key]) for key, row in rows.items() if row}
 
 
 def _example(schema: Mapping[str, Any]) -> list[str]:
@@ -121,34 +168,34 @@ def _example(schema: Mapping[str, Any]) -> list[str]:
 
 
 def _table(schema: Mapping[str, Any]) -> list[str]:
-    return [
-        "| key | type | default | drawn | description |",
-        "| --- | --- | --- | --- | --- |",
-        *_rows("", schema["properties"], schema.get("required", [])),
-        "",
-    ]
+    rows = [*_rows("", schema["properties"], schema.get("required", []))]
+    return [*_COLUMNS, *rows, ""] if rows else []
 
 
 def _rows(prefix: str, properties: Mapping[str, Any], required: list[str]) -> Iterator[str]:
     for key, entry in properties.items():
-        if entry.get("x-ignored"):
+        # A kind's own name stands in the list of kinds and in its example.
+        if entry.get("x-ignored") or (key == "type" and "const" in entry):
             continue
         named = key.startswith("<")
         default = "required" if key in required else "" if named else "none"
         if "default" in entry:
             default = f"`{json.dumps(entry['default'], ensure_ascii=False)}`"
-        number = _number_of(entry)
-        drawn = ""
-        if number:
-            others = [per for per in number["x-per-allowed"] if per != number["x-per"]]
-            drawn = number["x-per"] + (f" ({', '.join(others)})" if others else "")
-        cells = [f"`{prefix}{key}`", _type(entry), default, drawn, _escape(entry["description"])]
+        cells = [f"`{prefix}{key}`", _type(entry), default, _escape(entry["description"])]
         yield "| " + " | ".join(cells) + " |"
         if "properties" in entry:
             yield from _rows(f"{prefix}{key}.", entry["properties"], entry.get("required", []))
         below = entry.get("additionalProperties")
         if isinstance(below, dict):
             yield from _rows(f"{prefix}{key}.", {f"<{entry['x-name']}>": below}, [])
+
+
+def _drawn(number: Mapping[str, Any]) -> str:
+    """What a number is drawn per, where that is not a batch or where it can be otherwise."""
+    others = [per for per in number["x-per-allowed"] if per != number["x-per"]]
+    if number["x-per"] == "batch" and not others:
+        return ""
+    return f" per {' or '.join([number['x-per'], *others])}"
 
 
 def _number_of(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -167,7 +214,7 @@ def _type(entry: Mapping[str, Any]) -> str:
     unit = f", {entry['x-unit']}" if "x-unit" in entry else ""
     if entry.get("$ref") == NUMBER:
         noun = "whole [number](#number)" if entry.get("x-kind") else "[number](#number)"
-        return noun + unit + _bounds(entry)
+        return noun + _drawn(entry) + unit + _bounds(entry)
     if "$ref" in entry:
         title = load_schemas()[entry["$ref"]]["title"]
         null = load_schemas()[entry["$ref"]].get("type")
@@ -201,13 +248,22 @@ def _type(entry: Mapping[str, Any]) -> str:
 
 
 def _bounds(entry: Mapping[str, Any]) -> str:
-    signs = (
-        ("minimum", "≥"),
-        ("exclusiveMinimum", ">"),
-        ("maximum", "≤"),
-        ("exclusiveMaximum", "<"),
-    )
-    return "".join(f", {sign} {entry[key]:.12g}" for key, sign in signs if key in entry)
+    """The interval that a number lies in, its brackets as they are written in mathematics."""
+    ends = {
+        key: f"{entry[key]:.12g}".replace("1000000000000", "1e12").replace("1000000000", "1e9")
+        for key in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum")
+        if key in entry
+    }
+    if not ends:
+        return ""
+    low = ends.get("exclusiveMinimum", ends.get("minimum"))
+    high = ends.get("exclusiveMaximum", ends.get("maximum"))
+    if high is None:
+        return f", {'>' if 'exclusiveMinimum' in ends else '≥'} {low}"
+    if low is None:
+        return f", {'<' if 'exclusiveMaximum' in ends else '≤'} {high}"
+    left, right = ("[" if "minimum" in ends else "("), ("]" if "maximum" in ends else ")")
+    return f", {left}{low}, {high}{right}"
 
 
 def _anchor(title: str) -> str:

@@ -167,9 +167,10 @@ def _mesh_errors(mesh: MeshFacts | None) -> Iterator[tuple[str, str]]:
     yield "  at samples", f"{mesh.height_error_max_px:.2g} px worst; {asked}"
     finer = mesh.finer
     if finer:
-        points = finer.checked_points + finer.searched_points
         error = f"{finer.surface_error_rms_px:.2g} px rms, "
-        error += f"{finer.found_px:.2g} px at the worst of {points:,} points"
+        error += (
+            f"{finer.surface_error_found_px:.2g} px at the worst of {finer.checked_points:,} points"
+        )
         yield "  between samples", f"{error}; legs from {finer.finest_leg_m:.2g} m"
     if mesh.label_error_max_px is not None:
         yield "  label lines", f"{mesh.label_error_max_px:.2g} px worst at samples"

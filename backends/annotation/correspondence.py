@@ -2,10 +2,11 @@
 
 Everything follows from exact visibility and poses, in float64. The point X that a pixel's center
 shows belongs to a row; at the other sample the row stands elsewhere, and X with it:
-X' = M' M^-1 X. The other camera projects X' to (u', v', Z'). Flow is (u', v') minus the pixel's
-center. Whether the other picture shows X' is asked of the exact caster, with the ray from that
-camera through X': it does if nothing is hit before it. A sky pixel stands for a direction: a point
-infinitely far away, which moves by the camera's rotation alone.
+X' = M' M^-1 X. What deforms has X at the same place of the same triangle. The other camera
+projects X' to (u', v', Z'). Flow is (u', v') minus the pixel's center. Whether the other picture
+shows X' is asked of the exact caster, with the ray from that camera through X': it does if nothing
+is hit before it. A sky pixel stands for a direction: a point infinitely far away, which moves by
+the camera's rotation alone.
 
 The ray back to X' meets the surface X' lies on as well, at a parameter that rounding moves by a few
 parts in 1e15 over the cosine of the angle of incidence. What is hit nearer than ``SAME`` of the
@@ -95,13 +96,13 @@ def match(
     (camera, sample), (other, sample_there) = here, there
     hit = hits.row >= 0
     points = rays.origins + np.where(hit, hits.t, 0.0)[:, None] * rays.directions
-    moved, gone = _moved(scene, points, hits.row, sample, sample_there)
+    moved, row, gone = _moved(scene, points, (hits.row, hits.face), sample, sample_there)
     # Pixels beyond a lens's circle show nothing that could be elsewhere.
     if rays.known is not None:
         gone |= ~rays.known
     target = np.where(hit[:, None], moved, rays.directions)
     caster.pose(sample_there)
-    sight = sight_of(caster, other, target, (hits.row, hits.face), gone)
+    sight = sight_of(caster, other, target, (row, hits.face), gone)
     caster.pose(sample)
     nowhere = ~hit | gone
     local = in_rows(camera, points) if is_rolling(camera) else _to_camera(camera, points)
@@ -218,14 +219,14 @@ def _partner(scene: RenderScene, camera: Camera, sample: int) -> Camera:
 def _moved(
     scene: RenderScene,
     points: NDArray[np.float64],
-    row: NDArray[np.int32],
+    faces: tuple[NDArray[np.int32], NDArray[np.int32]],
     sample: int,
     other: int,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Moves points with their rows to another sample; the second array marks those gone by then."""
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.bool_]]:
+    """Moves points with the rows and faces that they lie on to another sample, as ``placed``."""
     if sample == other:
-        return points, np.zeros(len(points), bool)
-    return placed(scene, anchored(scene, points, row, sample), row, other)
+        return points, faces[0], np.zeros(len(points), bool)
+    return placed(scene, anchored(scene, points, faces[0], sample), faces, other)
 
 
 def anchored(
@@ -251,22 +252,79 @@ def anchored(
 
 
 def placed(
-    scene: RenderScene, points: NDArray[np.float64], row: NDArray[np.int32], sample: int
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Converts ``anchored`` points to the world at a sample; the second array marks those gone."""
-    gone = np.zeros(len(points), bool)
+    scene: RenderScene,
+    points: NDArray[np.float64],
+    faces: tuple[NDArray[np.int32], NDArray[np.int32]],
+    sample: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.bool_]]:
+    """Converts ``anchored`` points to the world at a sample.
+
+    Args:
+        scene: The scene.
+        points: In the frames of their rows, where those move, float64 [n, 3].
+        faces: Rows and faces that they lie on, int32 [n] each.
+        sample: Time code.
+
+    Returns:
+        The points; their rows then, another pose's of what deforms; and which are gone by then.
+    """
+    row, gone = faces[0], np.zeros(len(points), bool)
     motion = scene.rows.motion
     if motion is None:
-        return points, gone
+        return points, row, gone
+    points, row = _in_pose(scene, points, faces, sample)
     moves, place = motion.among(row)
-    points = points.copy()
     for k in np.unique(place).tolist():
         some, then = moves[place == k], motion.to_world[sample, k]
         if then[:, :3].any():
             points[some] = _turned(points[some], then[:, :3]) + then[:, 3]
         else:
             gone[some] = True
-    return points, gone
+    return points, row, gone
+
+
+def _in_pose(
+    scene: RenderScene,
+    points: NDArray[np.float64],
+    faces: tuple[NDArray[np.int32], NDArray[np.int32]],
+    sample: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Points, and their rows, on the same places of the triangles of the poses of a sample."""
+    motion, points, row = scene.rows.motion, points.copy(), faces[0]
+    if motion is None or motion.stand_ins is None:
+        return points, row
+    moves, place = motion.among(row)
+    then = row.copy()
+    then[moves] = motion.stand_ins[sample, place]
+    changed = np.flatnonzero(then != row)
+    pairs, pair = np.unique(np.stack([row[changed], then[changed]]), axis=1, return_inverse=True)
+    for k, (old, new) in enumerate(pairs.T.tolist()):
+        some = changed[pair.ravel() == k]
+        here, there = (_corners(scene, r, faces[1][some]) for r in (old, new))
+        u, v = _barycentric(here, points[some])
+        points[some] = there[0] + u * (there[1] - there[0]) + v * (there[2] - there[0])
+    return points, then
+
+
+def _corners(scene: RenderScene, row: int, face: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Corners of faces of a row in its frame, float64 [3, n, 3]."""
+    mesh = scene.meshes[scene.rows.mesh[row]]
+    corners: NDArray[np.float64] = mesh.points[mesh.faces[face].T].astype(np.float64)
+    return corners
+
+
+def _barycentric(
+    corners: NDArray[np.float64], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shares of the second and third corner in points of triangles, float64 [n, 1] each."""
+    a, b, c = corners
+    sides = (b - a, c - a)
+    (bb, bc), (_, cc) = (tuple((s * t).sum(axis=1) for t in sides) for s in sides)
+    pb, pc = (((points - a) * side).sum(axis=1) for side in sides)
+    area = bb * cc - bc * bc
+    # No ray meets a face of no area.
+    area[area <= 0.0] = np.inf
+    return ((cc * pb - bc * pc) / area)[:, None], ((bb * pc - bc * pb) / area)[:, None]
 
 
 def _turned(vectors: NDArray[np.float64], m: NDArray[np.float64]) -> NDArray[np.float64]:

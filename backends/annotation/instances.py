@@ -327,7 +327,8 @@ class Instances:
         if not len(self._first):
             return found
         for index, level in enumerate(scene.levels):
-            ranges = np.zeros((len(scene.meshes), 2), np.uint32)
+            # What has no faces says nothing.
+            ranges = np.tile(np.array([2**32 - 1, 0], np.uint32), (len(scene.meshes), 1))
             for i, mesh in enumerate(scene.meshes):
                 values = mesh.labels.get(level)
                 if values is not None and len(values):

@@ -85,13 +85,16 @@ def objects_table(
     rows = np.flatnonzero(slots >= 0)
     rows = rows[np.argsort(slots[rows], kind="stable")]
     boxes = world_boxes(scene, rows, sample)
+    # What is hidden is a point: it would widen the box of what is one of several poses.
+    hidden = (boxes[:, 0] == boxes[:, 1]).all(axis=1)
+    boxes[hidden] = np.array([np.inf, -np.inf])[:, None]
     begin = np.flatnonzero(np.diff(slots[rows], prepend=-1))
     none = np.empty((0, 3))
     low = np.minimum.reduceat(boxes[:, 0], begin) if len(begin) else none
     high = np.maximum.reduceat(boxes[:, 1], begin) if len(begin) else none
-    x, y = 0.5 * (low[:, :2] + high[:, :2]).T
+    with np.errstate(invalid="ignore"):
+        x, y = 0.5 * (low[:, :2] + high[:, :2]).T
     west, south, east, north = area_m
-    # What is hidden at a sample is a point.
     inside = (west <= x) & (x <= east) & (south <= y) & (y <= north) & (high > low).any(axis=1)
     which = np.flatnonzero(inside)
     x, y, bottom, top = x[which], y[which], low[which, 2], high[which, 2]

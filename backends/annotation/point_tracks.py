@@ -103,8 +103,8 @@ def follow_points(
         points: Of the stage.
     """
     caster.pose(sample)
-    places, gone = placed(scene, points.anchor, points.row, sample)
-    sight = sight_of(caster, camera, places, (points.row, points.face), gone)
+    places, row, gone = placed(scene, points.anchor, (points.row, points.face), sample)
+    sight = sight_of(caster, camera, places, (row, points.face), gone)
     nowhere = sight.code == NOTHING
     pixel, depth = sight.pixel.copy(), sight.local[:, 2].copy()
     places = places.copy()

@@ -10,7 +10,6 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.files import inside, sha256, tree
 from scenec.schemas.manifest import FRAMES, MANIFEST, RECTIFIED, TIMINGS, Manifest, gaps
 from scenec.schemas.scans import SCANS
-from scenec.schemas.strays import cut_short
 
 _NOT_IN_MANIFEST = (TIMINGS, MANIFEST)
 
@@ -27,7 +26,7 @@ def check_files(out: Path, manifest: Manifest) -> Iterator[Finding]:
             yield Finding("files", "error", name, "is in the manifest but not on disk")
         elif sha256(path) != entry.sha256:
             yield Finding("files", "error", name, "its bytes are not those of the manifest")
-    for line in (*gaps(manifest), *cut_short(out)):
+    for line in gaps(manifest):
         yield Finding("files", "warning", "manifest", line)
     batches = {batch.path for batch in manifest.batches}
     for path in tree(out):

@@ -147,6 +147,7 @@ def sun_record(lighting: Lighting) -> SunRecord | None:
         elevation_deg=math.degrees(math.atan2(z, math.hypot(x, y))),
         azimuth_deg=math.degrees(math.atan2(x, y)) % 360.0,
         irradiance=tuple(sun.irradiance.tolist()),
+        time=sun.time,
     )
 
 

@@ -14,6 +14,7 @@ from pxr import Gf, Usd, UsdGeom, UsdRender, Vt
 
 from scenec.backends.stage import values
 from scenec.backends.stage.frame import StageFrame
+from scenec.backends.stage.omniverse import read_calibration
 from scenec.backends.stage.products import Request, conformed, read_requests
 from scenec.backends.stage.rigid import camera_poses
 from scenec.backends.stage.scene import Camera, Focus, OpenShutter
@@ -84,8 +85,11 @@ def _over_time(
                 )
     if unread is not None:
         unread.camera(prim)
-        for line in told:
+        calibrated = read_calibration(prim, request.full, times[0])
+        for line in (*told, *(calibrated.notes if calibrated else ())):
             unread.add(line, prim)
+        if calibrated and calibrated.lens and _focus(prim, frame, times[0]):
+            unread.add("depth of field of a camera with a lens is not drawn", prim)
     poses[..., :3, :3] *= names.HALF_TURN
     # What differs from sample to sample where nothing else does.
     exposures = [a for a in prim.GetAttributes() if a.GetName().startswith(_EXPOSURE)]
@@ -113,20 +117,24 @@ def _camera(request: Request, frame: StageFrame, time: Usd.TimeCode) -> Camera:
         raise StageError(
             f"{prim.GetPath()}: is {projection}; only perspective cameras are rendered"
         )
+    calibrated = read_calibration(prim, request.full, time)
+    k = _intrinsics(request, time) if calibrated is None else calibrated.intrinsics
+    k[:2, 2] -= request.window[:2]
+    lens = _lens(prim) if calibrated is None else calibrated.lens
     return Camera(
         name=request.name,
         path=str(prim.GetPath()),
         width=width,
         height=height,
-        intrinsics=_intrinsics(request, time),
+        intrinsics=k,
         camera_to_world=np.eye(4),
         outputs=request.outputs,
         partner=_partner(prim),
         trigger=read_trigger(prim),
         depth_camera=_depth_camera(prim),
-        lens=_lens(prim),
+        lens=lens,
         imaging=read_imaging(prim, time),
-        focus=_focus(prim, frame, time),
+        focus=None if calibrated and lens else _focus(prim, frame, time),
         effects=_effects(prim),
         vehicle=_vehicle(prim),
     )
@@ -244,7 +252,6 @@ def _intrinsics(request: Request, time: Usd.TimeCode) -> NDArray[np.float64]:
         k = np.array(stated).reshape(3, 3)
     if k[0, 0] <= 0.0 or k[1, 1] <= 0.0:
         raise StageError(f"{prim.GetPath()}: a camera's focal length must be positive")
-    k[:2, 2] -= request.window[:2]
     return k
 
 

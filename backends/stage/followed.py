@@ -43,6 +43,7 @@ FOLLOWED: dict[str, frozenset[str]] = {
     | {"subdivisionScheme", "cornerIndices", "cornerSharpnesses", "creaseIndices", "creaseLengths"}
     | {"creaseSharpnesses", "interpolateBoundary", "faceVaryingLinearInterpolation"}
     | {"triangleSubdivisionRule"},
+    "BasisCurves": _SHAPE | {"points", "curveVertexCounts", "widths", "type", "basis", "wrap"},
     "GeomSubset": frozenset(("indices", "elementType", "familyName")),
     "PointInstancer": frozenset(
         (
@@ -76,6 +77,9 @@ WITHOUT_EFFECT: dict[str, frozenset[str]] = {
     # A picture that a light shines through: ours, at its place.
     "LightFilter": _UNSHADED | {"xformOpOrder"},
     "Mesh": _SIDES | {"velocities", "accelerations", "primvars:displayOpacity"},
+    # Normals of curves have a line of their own.
+    "BasisCurves": _SIDES
+    | {"orientation", "velocities", "accelerations", "normals", "primvars:displayOpacity"},
     "PointInstancer": frozenset(("velocities", "accelerations", "angularVelocities")),
     **{kind: _SIDES | {"orientation", "primvars:displayOpacity"} for kind in LENGTHS},
 }

@@ -90,6 +90,11 @@ def kind_of(prim: Usd.Prim) -> str:
     return next((kind for kind, schema in _SCHEMAS.items() if prim.IsA(schema)), "")
 
 
+def is_shape(prim: Usd.Prim) -> bool:
+    """Tells whether a prim becomes triangles: an implicit shape, a mesh, or curves."""
+    return bool(prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.BasisCurves) or kind_of(prim))
+
+
 def tessellate(shape: tuple[str | float, ...]) -> ShapeTriangles:
     """The triangles of a shape, as ``dimensions`` gives it.
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
 from scenec.backends.stage import values
+from scenec.backends.stage.expanded import Expanded, interleaved, placed
 from scenec.backends.stage.frame import composed
-from scenec.backends.stage.implicit import kind_of
+from scenec.backends.stage.implicit import is_shape
 from scenec.backends.stage.labels import prim_labels
 from scenec.backends.stage.meshes import MeshTable
 from scenec.backends.stage.placing import instance_mask, instance_matrices
@@ -29,79 +30,6 @@ _OTHER_IDS = (
 )
 #: ``Expanded.part`` of rows that do not keep their place within their instance.
 _NO_PART = -1
-
-
-@dataclass(frozen=True)
-class Expanded:
-    """Rows to be: arrays as in ``stage.scene.Rows``, matrices in stage units.
-
-    Attributes:
-        instance_id: Frame ids; of labeled prims (``labeled_instances``) the number below 0, until
-            ``Expander.expand`` gives it an id.
-        moving: Rows that (may) move, ascending, int64 [k].
-        path: Their matrices, float64 [samples, k, 3, 4]; None where there are none.
-    """
-
-    mesh: NDArray[np.int32]
-    matrix: NDArray[np.float64]
-    instance_id: NDArray[np.int64]
-    variation: NDArray[np.float32]
-    part: NDArray[np.int32]
-    moving: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    path: NDArray[np.float64] | None = None
-
-    @classmethod
-    def of(
-        cls,
-        mesh: NDArray[np.int32],
-        poses: NDArray[np.float64],
-        instance_id: NDArray[np.int64],
-        variation: NDArray[np.float32],
-        part: NDArray[np.int32],
-    ) -> Expanded:
-        """Rows that stand (poses [r, 3, 4]) or that all may move ([samples, r, 3, 4])."""
-        if poses.ndim == 3:
-            return cls(mesh, poses, instance_id, variation, part)
-        return cls(mesh, poses[0], instance_id, variation, part, np.arange(len(mesh)), poses)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Expanded]) -> Expanded:
-        """All rows of all parts, in order."""
-        if len(parts) == 1:
-            return parts[0]
-        starts = np.cumsum([0, *(len(p.mesh) for p in parts)])
-        paths = [p.path for p in parts if p.path is not None]
-        return cls(
-            np.concatenate([np.zeros(0, np.int32), *(p.mesh for p in parts)]),
-            np.concatenate([np.zeros((0, 3, 4)), *(p.matrix for p in parts)]),
-            np.concatenate([np.zeros(0, np.int64), *(p.instance_id for p in parts)]),
-            np.concatenate([np.zeros(0, np.float32), *(p.variation for p in parts)]),
-            np.concatenate([np.zeros(0, np.int32), *(p.part for p in parts)]),
-            np.concatenate(
-                [
-                    np.zeros(0, np.int64),
-                    *(p.moving + s for p, s in zip(parts, starts, strict=False)),
-                ]
-            ),
-            np.concatenate(paths, axis=1) if paths else None,
-        )
-
-    @property
-    def poses(self) -> NDArray[np.float64]:
-        """All matrices: [r, 3, 4] where nothing moves, else [samples, r, 3, 4]."""
-        if self.path is None:
-            return self.matrix
-        poses = np.repeat(self.matrix[None], len(self.path), axis=0)
-        poses[:, self.moving] = self.path
-        return poses
-
-    def settled(self) -> Expanded:
-        """The same; what does not move after all is no longer said to."""
-        if self.path is None:
-            return self
-        moves = (self.path != self.path[:1]).any(axis=(0, 2, 3))
-        path = self.path[:, moves] if moves.any() else None
-        return replace(self, moving=self.moving[moves], path=path)
 
 
 @dataclass(frozen=True)
@@ -204,12 +132,10 @@ class Expander:
 
     def _walk(self, prim: Usd.Prim, place: _Place, parts: list[Expanded]) -> None:
         shown = self._is_rendered(prim)
-        if place.shown is not None:
-            shown = shown & place.shown
-        if not shown.any():
+        if not (shown if place.shown is None else shown & place.shown).any():
             return
         if not shown.all():
-            place = replace(place, shown=shown)
+            place = _shown(place, shown)
         self._meshes.unread.prim(prim, in_prototype=bool(self._open))
         place = self._with_id(prim, self._moved(prim, place))
         if prim.IsA(UsdGeom.PointInstancer):
@@ -224,22 +150,32 @@ class Expander:
             self._open.pop()
             self._note(prim, parts[-1])
             return
-        if prim.IsA(UsdGeom.Mesh) or kind_of(prim):
-            found = self._meshes.add(prim, place.labels)
+        if is_shape(prim):
+            poses = self._meshes.add(prim, place.labels)
             part = 0 if place.instance_id is None else self._part(place.relative)
-            matrix = self._hide_at_samples(place.matrix[..., None, :, :], place.shown)
-            parts.append(
-                Expanded.of(
-                    np.array(found, np.int32),
-                    np.repeat(matrix, len(found), axis=-3),
-                    np.full(len(found), place.instance_id or 0, np.int64),
-                    np.zeros(len(found), np.float32),
-                    np.full(len(found), part, np.int32),
-                )
-            )
+            rows = []
+            if len(poses) > 1 and place.instance_id is not None:
+                # Says where the instance is at all samples; its poses come and go.
+                rows.append(self._shape([self._meshes.frame()], place, part))
+                part = _NO_PART
+            for pose in poses:
+                at = place if pose.shown is None else _shown(place, pose.shown)
+                rows.append(self._shape(pose.meshes, at, part))
+            parts.append(Expanded.joined(rows))
             self._note(prim, parts[-1])
         for child in prim.GetFilteredChildren(Usd.TraverseInstanceProxies()):
             self._walk(child, place, parts)
+
+    def _shape(self, meshes: list[int], place: _Place, part: int) -> Expanded:
+        count = len(meshes)
+        matrix = self._hide_at_samples(place.matrix[..., None, :, :], place.shown)
+        return Expanded.of(
+            np.array(meshes, np.int32),
+            np.repeat(matrix, count, axis=-3),
+            np.full(count, place.instance_id or 0, np.int64),
+            np.zeros(count, np.float32),
+            np.full(count, part, np.int32),
+        )
 
     def _note(self, prim: Usd.Prim, rows: Expanded) -> None:
         if not self._open:
@@ -340,7 +276,7 @@ class Expander:
         labels = {**place.labels, **prim_labels(prim, self._meshes.labels)}
         mask = instance_mask(instancer, self._times, count)
         shown = mask.any(axis=0)
-        world = _placed(place.matrix[..., None, :, :], local)
+        world = placed(place.matrix[..., None, :, :], local)
         if not mask[:, shown].all():
             hidden = mask if place.shown is None else mask & place.shown[:, None]
             world = self._hide_at_samples(world, hidden)
@@ -361,7 +297,7 @@ class Expander:
             rows = len(content.mesh)
             at = (first[mine, None] + np.arange(rows)).ravel()
             who = chosen[mine]
-            poses = _placed(world[..., who, :, :], content.poses)
+            poses = placed(world[..., who, :, :], content.poses)
             if place.instance_id is None:
                 part = np.tile(content.part, len(mine))
             else:
@@ -378,7 +314,7 @@ class Expander:
                     ),
                 )
             )
-        return _interleaved(total, parts)
+        return interleaved(total, parts)
 
     def _contents(
         self, prim: Usd.Prim, used: NDArray[np.int32], labels: dict[str, int]
@@ -393,7 +329,10 @@ class Expander:
                 if not root:
                     raise StageError(f"{prim.GetPath()}: prototype {target} does not exist")
                 # Id 0 here only says "inside of an instance".
+                outside = self._meshes.copies
+                self._meshes.copies *= int(counts[index])
                 self._walk(root, _Place(_IDENTITY, _IDENTITY, labels, instance_id=0), parts)
+                self._meshes.copies = outside
             contents.append(Expanded.joined(parts))
         return contents
 
@@ -414,7 +353,7 @@ class Expander:
         rows = local.shape[-3] * content.shape[-3]
         if relative is None or max(relative.ndim - 1, local.ndim, content.ndim) > 3:
             return np.full(rows, _NO_PART, np.int32)
-        places = _placed(composed(relative, local), content)
+        places = placed(composed(relative, local), content)
         return np.fromiter((self._part(p) for p in places), np.int32, rows)
 
     def _frame_ids(self, instancer: UsdGeom.PointInstancer, count: int) -> NDArray[np.int64]:
@@ -456,36 +395,9 @@ class Expander:
         known[1] = max(known[1], base + local)
 
 
-def _placed(world: NDArray[np.float64], content: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Every row of some content at every instance: [..., n, 3, 4] and [..., m, 3, 4], n * m."""
-    if content.shape == (1, 3, 4) and (content[0] == _IDENTITY).all():
-        return world
-    if world.shape == (1, 3, 4) and (world[0] == _IDENTITY).all():
-        return content
-    each = composed(world[..., :, None, :, :], content[..., None, :, :, :])
-    return each.reshape(*each.shape[:-4], -1, 3, 4)
-
-
-def _interleaved(total: int, parts: list[tuple[NDArray[np.int64], Expanded]]) -> Expanded:
-    """Rows from several parts, each at its places: all of ``range(total)``."""
-    if len(parts) == 1:
-        return parts[0][1]
-    mesh = np.empty(total, np.int32)
-    matrix = np.empty((total, 3, 4))
-    ids = np.empty(total, np.int64)
-    variation = np.empty(total, np.float32)
-    part = np.empty(total, np.int32)
-    moving, paths = [np.zeros(0, np.int64)], []
-    for at, rows in parts:
-        mesh[at], matrix[at], ids[at] = rows.mesh, rows.matrix, rows.instance_id
-        variation[at], part[at] = rows.variation, rows.part
-        if rows.path is not None:
-            moving.append(at[rows.moving])
-            paths.append(rows.path)
-    which = np.concatenate(moving)
-    order = np.argsort(which, kind="stable")
-    path = np.concatenate(paths, axis=1)[:, order] if paths else None
-    return Expanded(mesh, matrix, ids, variation, part, which[order], path)
+def _shown(place: _Place, shown: NDArray[np.bool_]) -> _Place:
+    """The place, where it is shown at these samples only."""
+    return replace(place, shown=shown if place.shown is None else shown & place.shown)
 
 
 def _number(prim: Usd.Prim, name: str) -> int | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pxr import Kind, Usd, UsdGeom, UsdSemantics
 
 from scenec.backends.stage import values
-from scenec.backends.stage.implicit import kind_of
+from scenec.backends.stage.implicit import is_shape
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -230,6 +230,6 @@ def _has_shape(prim: Usd.Prim) -> bool:
     for each in prims:
         if each.IsA(UsdGeom.PointInstancer):
             prims.PruneChildren()
-        elif each.IsA(UsdGeom.Mesh) or kind_of(each):
+        elif is_shape(each):
             return True
     return False

@@ -27,6 +27,7 @@ from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.unread import LIGHTS, gobo_of
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
+from scenec.schemas.records import SolarTime
 
 #: Color times intensity, linear Rec.709, float64 [3].
 type _Strength = Callable[[Usd.TimeCode], NDArray[np.float64]]
@@ -105,14 +106,39 @@ def light_over_time(
 
     read = values.cached(values.inputs(prim), light)
     gobos = _gobos(prim, frame, times, sources)
+    clocks = _solar_times(prim, times)
     # Without an inverse there are no directions that it shines in.
     dark = flat(matrices) & (prim.GetTypeName() != "SphereLight")
     for k in np.flatnonzero(~dark).tolist():
         made = read(times[samples[k]])(matrices[k], poses[k])
         lights[samples[k]] = (
-            replace(made, gobo=gobos[samples[k]]) if isinstance(made, Sun) else made
+            replace(made, gobo=gobos[samples[k]], time=clocks[samples[k]])
+            if isinstance(made, Sun)
+            else made
         )
     return lights
+
+
+def _solar_times(prim: Usd.Prim, times: list[Usd.TimeCode]) -> list[SolarTime | None]:
+    """Returns what the light says that the time is, at each time.
+
+    Raises:
+        StageError: A value is none.
+    """
+    of = {field: prim.GetAttribute(name) for field, (name, _) in names.SOLAR_TIME.items()}
+    ls = of.pop("ls_deg")
+    if not all(of.values()):
+        return [None] * len(times)
+    return [
+        SolarTime(
+            body=values.word(of["body"], "", time),
+            time_utc=values.word(of["time_utc"], "", time),
+            solar_time_h=values.number(of["solar_time_h"], 0.0, time),
+            mean_solar_time_h=values.number(of["mean_solar_time_h"], 0.0, time),
+            ls_deg=values.number(ls, 0.0, time) if ls else None,
+        )
+        for time in times
+    ]
 
 
 def _gobos(

@@ -11,6 +11,7 @@ import importlib
 import math
 import os
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,13 @@ from scenec.backends.stage.materialx_nodes import (
 )
 from scenec.schemas.errors import StageError
 from scenec.schemas.packages import as_file
+from scenec.schemas.stage import LOSSES
+from scenec.schemas.udim import is_tiled, tiles_of
 
-#: Of a material's custom data: lines of what of it is not read.
-LOSSES = "scenec_losses"
 _ROOT = "/MaterialX"
 _TYPES = Sdf.ValueTypeNames
 #: By surface: its inputs whose product an input of UsdPreviewSurface is.
-_MODELS: dict[str, dict[str, tuple[str, ...]]] = {
+MODELS: dict[str, dict[str, tuple[str, ...]]] = {
     "standard_surface": {
         "diffuseColor": ("base_color", "base"),
         "roughness": ("specular_roughness",),
@@ -80,14 +81,27 @@ _WRAPS = {"periodic": "repeat", "clamp": "clamp", "mirror": "mirror"}
 
 
 @dataclass
-class _MaterialXLook:
-    """Writes one material, and notes what of it is not read."""
+class MaterialXLook:
+    """Writes one material, and notes what of it is not read.
+
+    Attributes:
+        material: The material.
+        file: The file that it stands in: pictures are sought beside it.
+        below: Of the material: what its new shaders stand in.
+        lines: What is lost.
+    """
 
     material: UsdShade.Material
     file: str
+    below: str = "."
     lines: list[str] = field(default_factory=list)
 
+    def path(self, name: str) -> Sdf.Path:
+        """Returns the path of a new shader."""
+        return self.material.GetPath().AppendPath(self.below).AppendChild(name)
+
     def lose(self, what: str) -> None:
+        """Notes what is not read."""
         self.lines.append(what)
 
 
@@ -122,9 +136,9 @@ def materialx_layer(file: str, named: str) -> Sdf.Layer | None:
         stage.DefinePrim(f"{_ROOT}/Materials")
         for node in document.getMaterialNodes():
             path = f"{_ROOT}/Materials/{node.getName().replace(':', '__')}"
-            look = _MaterialXLook(UsdShade.Material.Define(stage, path), file)
+            look = MaterialXLook(UsdShade.Material.Define(stage, path), file)
             for surface in mx.getShaderNodes(node, "surfaceshader"):
-                _write_surface(look, surface)
+                write_surface(look, surface)
             if look.lines:
                 look.material.GetPrim().SetCustomDataByKey(LOSSES, "\n".join(look.lines))
     except _faults(mx) as error:
@@ -142,14 +156,20 @@ def _faults(mx: Any) -> tuple[type[Exception], ...]:
     )
 
 
-def _write_surface(look: _MaterialXLook, node: Any) -> None:
-    model = _MODELS.get(node.getCategory())
+def write_surface(look: MaterialXLook, node: Any) -> None:
+    """Writes a surface of MaterialX as the UsdPreviewSurface of a material.
+
+    Args:
+        look: The material.
+        node: The surface: of the package MaterialX, or alike.
+    """
+    model = MODELS.get(node.getCategory())
     if model is None or node.getNodeDef() is None:
         look.lose(f"the surface {node.getName()} ({node.getCategory()}) is not read, "
                   "displayColor is shown")  # fmt: skip
         return
-    stage, path = look.material.GetPrim().GetStage(), look.material.GetPath()
-    shader = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
+    stage = look.material.GetPrim().GetStage()
+    shader = UsdShade.Shader.Define(stage, look.path("Surface"))
     shader.CreateIdAttr("UsdPreviewSurface")
     output = shader.CreateOutput("surface", _TYPES.Token)
     look.material.CreateSurfaceOutput().ConnectToSource(output)
@@ -173,7 +193,7 @@ def _write_surface(look: _MaterialXLook, node: Any) -> None:
         look.lose(f"{node.getName()} ({node.getCategory()}): not followed: {', '.join(unread)}")
 
 
-def _product(look: _MaterialXLook, value: NodeValue, *weights: NodeValue) -> NodeValue:
+def _product(look: MaterialXLook, value: NodeValue, *weights: NodeValue) -> NodeValue:
     for weight in weights:
         if weight.image is not None and value.image is not None:
             look.lose("a weight from a picture, of what is another picture, is not followed")
@@ -191,7 +211,7 @@ def _has_effect(node: Any, port: Any) -> bool:
     return default is None or port.getValue() != default.getValue()
 
 
-def _ior(look: _MaterialXLook, *factors: NodeValue) -> NodeValue:
+def _ior(look: MaterialXLook, *factors: NodeValue) -> NodeValue:
     """The index whose reflectance at normal incidence is an index's times any weight."""
     ior, weight = factors if len(factors) == 2 else (*factors, NodeValue(ONES))
     if ior.image is not None or weight.image is not None:
@@ -201,7 +221,7 @@ def _ior(look: _MaterialXLook, *factors: NodeValue) -> NodeValue:
     return NodeValue(((1.0 + root) / max(1.0 - root, 1e-6),) * 4)
 
 
-def _input(look: _MaterialXLook, node: Any, name: str) -> NodeValue:
+def _input(look: MaterialXLook, node: Any, name: str) -> NodeValue:
     """What an input of a surface is; its default where the network is not read."""
     default = constant_of(node.getNodeDef().getActiveInput(name))
     port = node.getInput(name)
@@ -218,7 +238,7 @@ def _input(look: _MaterialXLook, node: Any, name: str) -> NodeValue:
         return default
 
 
-def _write(look: _MaterialXLook, shader: UsdShade.Shader, name: str, value: NodeValue) -> None:
+def _write(look: MaterialXLook, shader: UsdShade.Shader, name: str, value: NodeValue) -> None:
     kind = _TYPES.Color3f if name in _COLORS else _TYPES.Float
     kind = {"normal": _TYPES.Normal3f, "useSpecularWorkflow": _TYPES.Int}.get(name, kind)
     if value.image is not None:
@@ -232,7 +252,7 @@ def _write(look: _MaterialXLook, shader: UsdShade.Shader, name: str, value: Node
         shader.CreateInput(name, kind).Set(int(number) if kind == _TYPES.Int else number)
 
 
-def _texture(look: _MaterialXLook, name: str, value: NodeValue) -> UsdShade.Output:
+def _texture(look: MaterialXLook, name: str, value: NodeValue) -> UsdShade.Output:
     node = value.image
     file, _ = source_of(node.getInput("file"))
     srgb = False
@@ -242,7 +262,7 @@ def _texture(look: _MaterialXLook, name: str, value: NodeValue) -> UsdShade.Outp
         if space not in SPACES:
             look.lose(f"the color space {space} of the node {node.getName()} is taken as linear")
         srgb = SPACES.get(space, False)
-    path = look.material.GetPath().AppendChild(f"{name}_texture")
+    path = look.path(f"{name}_texture")
     texture = UsdShade.Shader.Define(look.material.GetPrim().GetStage(), path)
     texture.CreateIdAttr("UsdUVTexture")
     picture = Sdf.AssetPath(_picture(look.file, file))
@@ -273,7 +293,9 @@ def _picture(beside: str, file: Any) -> str:
     candidates = [f"{file.getActiveFilePrefix()}{own}", own]
     paths = [Sdf.ComputeAssetPathRelativeToLayer(Sdf.Layer.CreateAnonymous(), c) if
              os.path.isabs(c) else _joined(beside, c) for c in candidates]  # fmt: skip
-    return next((path for path in paths if Ar.GetResolver().Resolve(path)), paths[-1])
+    tiled = (path for path in paths if is_tiled(path) and tiles_of(Path(path)))
+    plain = (path for path in paths if Ar.GetResolver().Resolve(path))
+    return next(chain(plain, tiled), paths[-1])
 
 
 def _joined(beside: str, relative: str) -> str:
@@ -284,7 +306,7 @@ def _joined(beside: str, relative: str) -> str:
     return os.path.normpath(os.path.join(os.path.dirname(os.path.abspath(beside)), relative))
 
 
-def _coordinates(look: _MaterialXLook, path: Sdf.Path, node: Any) -> UsdShade.Output:
+def _coordinates(look: MaterialXLook, path: Sdf.Path, node: Any) -> UsdShade.Output:
     """The nodes of a picture's texture coordinates; those of its own tiling come last."""
     stage = look.material.GetPrim().GetStage()
     primvar, steps = placing(node)
@@ -292,11 +314,13 @@ def _coordinates(look: _MaterialXLook, path: Sdf.Path, node: Any) -> UsdShade.Ou
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", _TYPES.String).Set(primvar)
     output = reader.CreateOutput("result", _TYPES.Float2)
-    for number, (scale, translation) in enumerate(steps):
+    for number, (scale, turn_deg, translation) in enumerate(steps):
         step = UsdShade.Shader.Define(stage, path.AppendChild(f"place_{number}"))
         step.CreateIdAttr("UsdTransform2d")
         step.CreateInput("in", _TYPES.Float2).ConnectToSource(output)
         step.CreateInput("scale", _TYPES.Float2).Set(scale)
+        if turn_deg:
+            step.CreateInput("rotation", _TYPES.Float).Set(turn_deg)
         step.CreateInput("translation", _TYPES.Float2).Set(translation)
         output = step.CreateOutput("result", _TYPES.Float2)
     return output

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
+
+from scenec.schemas.udim import UDIM
 
 _IMAGES = (
     *("image", "tiledimage", "UsdUVTexture"),
@@ -18,8 +21,21 @@ _ARITHMETIC = {
     "subtract": ("in2", 0.0),
     "invert": ("amount", 1.0),
 }
+_PLACING = ("place2d", "UsdTransform2d", "UsdPrimvarReader", "geompropvalue", "texcoord")
+#: Names of nodes that are read.
+KNOWN_NODES = (*_IMAGES, *_PASSED, *_ARITHMETIC, "constant", *_PLACING)
 #: Whether a color space is sRGB's, or linear.
-SPACES = {"srgb_texture": True, "lin_rec709": False, "raw": False, "none": False, "": False}
+SPACES = {
+    **dict.fromkeys(("srgb_texture", "srgb_rec709_scene"), True),
+    **dict.fromkeys(("lin_rec709", "lin_rec709_scene", "raw", "none", ""), False),
+}
+_ACESCG = ("acescg", "lin_ap1", "lin_ap1_scene")
+#: From ACEScg to linear Rec. 709, by Bradford's adaptation from D60 to D65, to five digits.
+_TO_REC709 = (
+    (1.70505, -0.62179, -0.08326),
+    (-0.13026, 1.14080, -0.01055),
+    (-0.02400, -0.12897, 1.15297),
+)
 DEEPEST = 32
 
 #: Of red, green, blue and alpha.
@@ -79,9 +95,13 @@ def constant_of(port: Any) -> NodeValue:
         return NodeValue(numbers * 4)
     if port.getType() in ("color3", "color4"):
         space = port.getActiveColorSpace()
-        if space not in SPACES:
+        if space in _ACESCG:
+            # What Rec. 709 cannot show is clipped.
+            turned = (sum(a * b for a, b in zip(row, numbers, strict=False)) for row in _TO_REC709)
+            numbers = (*(max(number, 0.0) for number in turned), *numbers[3:])
+        elif space not in SPACES:
             raise UnreadNodeError(f"a color in the space {space}")
-        if SPACES[space]:
+        elif SPACES[space]:
             numbers = (*(_linear(number) for number in numbers[:3]), *numbers[3:])
     return NodeValue((*numbers, 0.0, 1.0)[:4] if len(numbers) == 2 else (*numbers, 1.0)[:4])
 
@@ -164,7 +184,8 @@ def _image(node: Any, output: str) -> NodeValue:
     channel = {"r": "r", "g": "g", "b": "b", "a": "a", "outa": "a"}.get(output, "rgb")
     if node.getType() == "float":
         channel = "r"
-    if node.getInput("file") is None or "<" in source_of(node.getInput("file"))[0].getValueString():
+    file = node.getInput("file")
+    if file is None or "<" in source_of(file)[0].getValueString().replace(UDIM, ""):
         raise UnreadNodeError(f"the file, or the tiles, of the node {node.getName()}")
     placing(node)
     value = NodeValue(image=node, channel="rgb")
@@ -181,15 +202,17 @@ def _image(node: Any, output: str) -> NodeValue:
 
 
 _Pair = tuple[float, float]
+#: As of UsdTransform2d: scale, rotation (degrees, counter-clockwise), translation.
+_Step = tuple[_Pair, float, _Pair]
 
 
-def placing(image: Any) -> tuple[str, list[tuple[_Pair, _Pair]]]:
-    """Reads the primvar of coordinates, and (scale, translation) of each step from there.
+def placing(image: Any) -> tuple[str, list[_Step]]:
+    """Reads the primvar of coordinates, and the steps from there.
 
     Raises:
-        UnreadNodeError: Coordinates that are turned, of a second set, or of another node.
+        UnreadNodeError: Coordinates of a second set, or of another node.
     """
-    steps: list[tuple[_Pair, _Pair]] = []
+    steps: list[_Step] = []
     own = image.getCategory()
     if own == "tiledimage":
         (across, up), (right, top) = _pair(image, "uvtiling", 1.0), _pair(image, "uvoffset", 0.0)
@@ -199,7 +222,7 @@ def placing(image: Any) -> tuple[str, list[tuple[_Pair, _Pair]]]:
         if len(units) > 1 or 0.0 in size:
             raise UnreadNodeError(f"the size in the world of the node {image.getName()}")
         x, y = tile[0] / size[0], tile[1] / size[1]
-        steps.append(((across * x, up * y), (-right * x, -top * y)))
+        steps.append(((across * x, up * y), 0.0, (-right * x, -top * y)))
     elif own.startswith("gltf_"):
         _require_unplaced(image, "scale", 1.0)
         _require_unplaced(image, "offset", 0.0)
@@ -211,12 +234,11 @@ def placing(image: Any) -> tuple[str, list[tuple[_Pair, _Pair]]]:
         told = "coordinates" if node is None else f"the node {node.getName()} ({kind})"
         port = None
         if kind == "place2d":
-            _require_unplaced(node, "rotate", 0.0)
-            steps.append(_placed(node))
+            steps += _placed(node)
             port = node.getInput("texcoord")
         elif kind == "UsdTransform2d":
-            _require_unplaced(node, "rotation", 0.0)
-            steps.append((_pair(node, "scale", 1.0), _pair(node, "translation", 0.0)))
+            turn, translation = _pair(node, "rotation", 0.0)[0], _pair(node, "translation", 0.0)
+            steps.append((_pair(node, "scale", 1.0), turn, translation))
             port = node.getInput("in")
         elif kind in ("UsdPrimvarReader", "geompropvalue"):
             name = node.getInput("varname" if kind == "UsdPrimvarReader" else "geomprop")
@@ -227,16 +249,28 @@ def placing(image: Any) -> tuple[str, list[tuple[_Pair, _Pair]]]:
     return "st", steps[::-1]
 
 
-def _placed(node: Any) -> tuple[_Pair, _Pair]:
-    """(x - pivot) / scale - offset + pivot, or with the offset before the scale."""
+def _placed(node: Any) -> list[_Step]:
+    """Steps of place2d, the last first: R((x - pivot) / scale) - offset + pivot.
+
+    Or R(x - pivot - offset) / scale + pivot. R turns clockwise.
+    """
     scale, offset = _pair(node, "scale", 1.0), _pair(node, "offset", 0.0)
     pivot, after = _pair(node, "pivot", 0.0), _pair(node, "operationorder", 0.0)[0] == 0.0
+    turn = -_pair(node, "rotate", 0.0)[0]
     if 0.0 in scale:
         raise UnreadNodeError(f"the scale of the node {node.getName()}")
-    x, y = (
-        p - p / s - (o if after else o / s) for p, s, o in zip(pivot, scale, offset, strict=True)
-    )
-    return (1.0 / scale[0], 1.0 / scale[1]), (x, y)
+    by = (1.0 / scale[0], 1.0 / scale[1])
+    (px, py), (ox, oy) = pivot, offset
+    if after:
+        x, y = _turned((-px * by[0], -py * by[1]), turn)
+        return [(by, turn, (x - ox + px, y - oy + py))]
+    return [(by, 0.0, pivot), ((1.0, 1.0), turn, _turned((-px - ox, -py - oy), turn))]
+
+
+def _turned(pair: _Pair, turn_deg: float) -> _Pair:
+    angle = math.radians(turn_deg)
+    c, s = (math.cos(angle), math.sin(angle)) if turn_deg else (1.0, 0.0)
+    return c * pair[0] - s * pair[1], s * pair[0] + c * pair[1]
 
 
 def _pair(node: Any, name: str, default: float) -> _Pair:

@@ -12,8 +12,9 @@ from pxr import Usd
 
 from scenec.backends.stage import values
 from scenec.backends.stage.cameras import read_cameras
+from scenec.backends.stage.expanded import Expanded
 from scenec.backends.stage.frame import StageFrame
-from scenec.backends.stage.instancers import Expanded, Expander
+from scenec.backends.stage.instancers import Expander
 from scenec.backends.stage.labels import LabelTable, labeled_instances, prim_labels, read_table
 from scenec.backends.stage.lidars import read_lidars
 from scenec.backends.stage.lights import read_haze, read_lighting, read_sky_label_maps
@@ -36,10 +37,10 @@ def read_stage(path: Path | str, *, allow_missing: bool = False) -> RenderScene:
     Y or Z up, any unit, nested instancers, native instances, mirrored and sheared transforms,
     visibility, purpose, ``inactiveIds`` and ``invisibleIds``, UsdSemantics labels in place of label
     primvars, UsdPreviewSurface constants in place of ours. Implicit shapes are tessellated
-    (``implicit.ERROR``). Subdivision surfaces are taken as their cages. What is not followed is
-    named in the scene's ``losses``.
-    Topology and points are those of the first time code: meshes do not deform. Transforms, an
-    instancer's positions, orientations and scales, and visibility are taken as they are at each
+    (``implicit.ERROR``), subdivision surfaces refined. What is not followed is named in the scene's
+    ``losses``.
+    Topology is that of the first time code. Points (also those that a skeleton moves), transforms,
+    an instancer's positions, orientations and scales, and visibility are taken as they are at each
     sample's time code (between authored codes as USD has them). The samples of a stage without a
     range of time codes are those that are authored.
 
@@ -75,9 +76,9 @@ def scene_of(stage: Usd.Stage, path: Path, sources: Sources) -> RenderScene:
     table = read_table(stage)
     may_move = len(times) > 1 or not stage.HasAuthoredTimeCodeRange()
     unread = Unread(may_move, sources)
-    meshes = MeshTable(table, times[0], unread, sources)
+    meshes = MeshTable(table, times, unread, sources)
     expander = Expander(meshes, times, labeled_instances(stage, table))
-    rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame)
+    rows = _rows(expander.expand(stage.GetPseudoRoot()).settled(), frame, meshes)
     cameras = read_cameras(stage, frame, times, unread)
     lighting = read_lighting(stage, frame, times, sources)
     label_maps = read_sky_label_maps(stage, table, times, sources)
@@ -177,11 +178,13 @@ def _require_schema(stage: Usd.Stage, path: Path) -> None:
         )
 
 
-def _rows(expanded: Expanded, frame: StageFrame) -> Rows:
+def _rows(expanded: Expanded, frame: StageFrame, meshes: MeshTable) -> Rows:
     motion = None
     if expanded.path is not None:
         path = np.ascontiguousarray(frame.affine(expanded.path))
         motion = Motion(expanded.moving.astype(np.int32), path)
+        if meshes.families:
+            motion = replace(motion, stand_ins=_stand_ins(expanded, motion, meshes))
     return Rows(
         mesh=expanded.mesh,
         to_world=np.ascontiguousarray(frame.affine(expanded.matrix)),
@@ -190,6 +193,17 @@ def _rows(expanded: Expanded, frame: StageFrame) -> Rows:
         motion=motion,
         part=expanded.part,
     )
+
+
+def _stand_ins(expanded: Expanded, motion: Motion, meshes: MeshTable) -> NDArray[np.int32]:
+    found = np.tile(motion.rows, (len(motion.to_world), 1))
+    for family, at in meshes.families:
+        # Wherever a shape is, its poses are rows behind one another.
+        poses = np.flatnonzero(np.isin(expanded.mesh, family)).reshape(-1, len(family))
+        for rows in poses.T:
+            moves, place = motion.among(rows)
+            found[:, place] = poses[moves][:, at].T
+    return found
 
 
 def _sky_labels(stage: Usd.Stage, table: LabelTable) -> dict[str, int]:

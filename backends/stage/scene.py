@@ -24,6 +24,7 @@ from scenec.schemas.georeference import Georeference
 from scenec.schemas.imaging import Imaging
 from scenec.schemas.lens import Lens
 from scenec.schemas.lidar import LidarDetection, LidarFootprint, LidarIntensity
+from scenec.schemas.records import SolarTime
 from scenec.schemas.shutter import Shutter
 from scenec.schemas.vehicle import Vehicle
 
@@ -39,12 +40,15 @@ class Reading:
         channel: "r", "g", "b" or "a": where a single number stands.
         srgb: Whether they are in sRGB's transfer function; None: as ``Maps`` says.
         scale, bias: value * scale + bias is what is meant; of each channel, [3].
+        tiles: Columns and rows of UDIM tiles that the material's texture coordinates span, which
+            ``Maps.uv_transform`` brings into the unit square: a picture that is no tile repeats.
     """
 
     channel: str = "r"
     srgb: bool | None = None
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tiles: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
@@ -262,10 +266,13 @@ class Motion:
         rows: Which, ascending, int32 [k].
         to_world: Their matrices at each sample, float64 [samples, k, 3, 4]. Where a row is hidden
             its linear part is 0: a row scaled to a point has no surface.
+        stand_ins: Which row is there for each of them at each sample, int32 [samples, k]: a shape
+            that deforms has a row for each of its poses, with the same faces. None: each itself.
     """
 
     rows: NDArray[np.int32]
     to_world: NDArray[np.float64]
+    stand_ins: NDArray[np.int32] | None = None
 
     def among(self, rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Returns which of some rows move, and their indices in ``self.rows``; both int64 [m]."""
@@ -442,6 +449,7 @@ class Sun:
         diameter_rad: Full angular diameter; 0 is a point.
         path, normalized: Of the prim; whether its intensity is an irradiance, not a radiance.
         gobo: What it shines through; None: nothing.
+        time: What time it is there, of a sun that was computed for a place and a time.
     """
 
     to_light: NDArray[np.float64]
@@ -450,6 +458,7 @@ class Sun:
     path: str = ""
     normalized: bool = True
     gobo: Gobo | None = None
+    time: SolarTime | None = None
 
 
 #: A dome's frame stood up: its pole, +Y, goes to +Z, as OrientToStageUpAxis does.

@@ -8,16 +8,19 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from pxr import Ar, Sdf, Tf, Usd
+from pxr import Ar, Sdf, Tf, Usd, UsdShade
 
 from scenec.backends.stage import values
 from scenec.backends.stage.materialx import materialx_layer
+from scenec.backends.stage.materialx_networks import preview_networks
 from scenec.backends.stage.values import said
 from scenec.schemas.crate import crate_fault
 from scenec.schemas.errors import StageError
 from scenec.schemas.files import sha256
 from scenec.schemas.manifest import MANIFEST, digest_of_files, files_of_stage
 from scenec.schemas.native import commentary, native_reading
+from scenec.schemas.omnipbr import as_preview_surface
+from scenec.schemas.udim import is_tiled, tiles_of
 
 #: Lines of one error.
 _MOST_LINES = 8
@@ -52,6 +55,9 @@ class Sources:
         # Pictures and value clips, which are no layers that USD would name.
         self._beside: set[str] = set()
         self._listed = False
+        # Translations of MDL, by the path of the material; in a stage of their own.
+        self._translations: dict[Sdf.Path, UsdShade.Material] = {}
+        self._scratch = Usd.Stage.CreateInMemory()
         self._materialx: dict[str, Sdf.Layer | None] = {}
         # Layers whose references lead to those, as (layer, what is authored, what stands there).
         self._replaced: list[tuple[Sdf.Layer, str, str]] = []
@@ -109,6 +115,7 @@ class Sources:
             self._read_materialx(stage)
             self._compose(stage)
             self._open_clips(stage)
+            preview_networks(stage)
             trap.Clear()
         self._require_complete()
         return stage
@@ -133,6 +140,8 @@ class Sources:
         asset = values.asset(attribute, time)
         if asset is None:
             return None
+        if is_tiled(asset.path):
+            return self._tiles(attribute, asset.path, time)
         # Every mesh asks for the maps of its materials again.
         if asset.resolvedPath in self._pictures:
             return self._pictures[asset.resolvedPath]
@@ -143,6 +152,26 @@ class Sources:
         file = self._pictures[asset.resolvedPath] = Path(asset.resolvedPath)
         self._beside.add(_package(asset.resolvedPath))
         return file
+
+    def _tiles(self, attribute: Usd.Attribute, path: str, time: Usd.TimeCode) -> Path | None:
+        """The path of UDIM tiles, of which at least one is there; relative to where it stands."""
+        specs = attribute.GetPropertyStack(time)
+        layer = next((spec.layer for spec in specs if spec.HasInfo("default")), specs[0].layer)
+        file = Path(layer.ComputeAbsolutePath(path))
+        tiles = tiles_of(file)
+        if not tiles:
+            self.miss(f"{attribute.GetPath()}: {path} has no tiles")
+            return None
+        self._beside.update(map(str, tiles.values()))
+        return file
+
+    def translated(self, material: UsdShade.Material) -> UsdShade.Material:
+        """Returns the translation of a material of MDL's OmniPBR, or the material itself."""
+        path = material.GetPath()
+        if path not in self._translations:
+            made = as_preview_surface(material, self._scratch)
+            self._translations[path] = material if made is None else made
+        return self._translations[path]
 
     def digest(self, stage: Usd.Stage) -> str:
         """sha256 over relative paths and bytes of all files that the stage was read from.

@@ -62,8 +62,16 @@ def read_polygons(mesh: UsdGeom.Mesh, time: Usd.TimeCode) -> MeshPolygons:
     return MeshPolygons(points, counts, indices, holes)
 
 
-def refined(mesh: UsdGeom.Mesh, read: MeshPolygons, time: Usd.TimeCode) -> Refined | None:
+def refined(
+    mesh: UsdGeom.Mesh, read: MeshPolygons, time: Usd.TimeCode, levels: int | None = None
+) -> Refined | None:
     """Refines a mesh's subdivision surface; None of one that is polygons.
+
+    Args:
+        mesh: The mesh.
+        read: Its polygons.
+        time: When.
+        levels: How often to split it; None: as often as its error wants.
 
     Raises:
         StageError: Its creases do not go together, or a rule is none.
@@ -107,7 +115,8 @@ def refined(mesh: UsdGeom.Mesh, read: MeshPolygons, time: Usd.TimeCode) -> Refin
             creases,
             (peaks[0], peaks[1]),
             triangles == UsdGeom.Tokens.smooth,
-        )
+        ),
+        levels=levels,
     )
 
 

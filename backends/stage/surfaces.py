@@ -12,7 +12,13 @@ from pxr import Usd, UsdGeom, UsdShade
 from scenec.backends.stage import values
 from scenec.backends.stage.scene import Cells, Maps, Reflectance, Surface
 from scenec.backends.stage.sources import Sources
-from scenec.backends.stage.textures import FIRST, connected, constant, texture_maps
+from scenec.backends.stage.textures import (
+    FIRST,
+    connected,
+    constant,
+    opacity_threshold,
+    texture_maps,
+)
 from scenec.schemas import stage as names
 from scenec.schemas.errors import StageError
 
@@ -78,9 +84,13 @@ def _vertex_floats(prim: Usd.Prim, name: str, count: int) -> NDArray[np.float32]
     return found
 
 
-def bound_material(prim: Usd.Prim) -> UsdShade.Material:
-    """Returns the material bound for full renderings, or for all purposes; invalid without one."""
-    return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+def bound_material(prim: Usd.Prim, sources: Sources) -> UsdShade.Material:
+    """Returns the material bound for full renderings, or for all purposes; invalid without one.
+
+    One of MDL's OmniPBR is returned as the UsdPreviewSurface that it is translated to.
+    """
+    bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(UsdShade.Tokens.full)[0]
+    return sources.translated(bound) if bound else bound
 
 
 def bound_surface(
@@ -93,7 +103,7 @@ def bound_surface(
         sources: Of the stage.
         color: In place of displayColor.
     """
-    material = bound_material(prim)
+    material = bound_material(prim, sources)
     color = display_color(prim) if color is None else color
     if material:
         return surface_of(material, sources, color)
@@ -112,6 +122,36 @@ def shows_display_color(material: UsdShade.Material) -> bool:
         return False
     node, _ = connected(shader, "diffuseColor")
     return node is not None and values.word(node.GetIdAttr(), "") != "UsdUVTexture"
+
+
+def is_absent(material: UsdShade.Material) -> bool:
+    """Tells whether a preview surface's opacity is a constant below its threshold."""
+    shader = _preview_surface(material)
+    return shader is not None and _input(shader, "opacity", 1.0) < opacity_threshold(shader)[0]
+
+
+def display_opacity_threshold(material: UsdShade.Material) -> float | None:
+    """Returns the least displayOpacity that is shown, where that is the opacity; else None.
+
+    Args:
+        material: May be invalid: then it is.
+    """
+    if not material:
+        return names.OPACITY_THRESHOLD
+    shader = _preview_surface(material)
+    node, _ = connected(shader, "opacity") if shader is not None else (None, "")
+    if node is None or values.word(constant(node, "varname"), "", FIRST) != "displayOpacity":
+        return None
+    return opacity_threshold(shader)[0]
+
+
+def _preview_surface(material: UsdShade.Material) -> UsdShade.Shader | None:
+    """The UsdPreviewSurface of a material that has no surface of ours."""
+    color = material.GetPrim().GetAttribute(names.ATTR_BASE_COLOR) if material else None
+    shader = material.ComputeSurfaceSource()[0] if material else None
+    if (color and color.HasValue()) or not shader:
+        return None
+    return shader if values.word(shader.GetIdAttr(), "") == "UsdPreviewSurface" else None
 
 
 def display_color(prim: Usd.Prim) -> tuple[float, float, float]:

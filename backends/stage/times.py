@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, UsdSkel
 
 from scenec.backends.stage import values
 from scenec.backends.stage.followed import FOLLOWED
@@ -18,6 +18,11 @@ _READ_OVER_TIME = tuple(
     kind for kind in FOLLOWED if kind in ("Camera", "PointInstancer") or "Light" in kind
 )
 _READ_ONCE = ("protoIndices", "ids")
+#: What deforms shapes, by the schema that has it.
+_DEFORMING = (
+    (UsdGeom.PointBased, ("points", "normals")),
+    (UsdSkel.Animation, ("translations", "rotations", "scales", "blendShapeWeights")),
+)
 
 
 def time_codes(stage: Usd.Stage) -> list[Usd.TimeCode]:
@@ -72,14 +77,14 @@ def _authored_codes(stage: Usd.Stage) -> list[float]:
     """Lists the codes of time samples and spline knots of followed attributes, ascending."""
     codes: set[float] = set()
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if not prim.IsA(UsdGeom.Imageable):
-            continue
         attributes = [prim.GetAttribute("visibility")]
+        for schema, followed in _DEFORMING:
+            attributes += [prim.GetAttribute(name) for name in followed if prim.IsA(schema)]
         if xformable := UsdGeom.Xformable(prim):
             attributes += [op.GetAttr() for op in xformable.GetOrderedXformOps()]
         if prim.GetTypeName() in _READ_OVER_TIME:
-            followed = FOLLOWED[prim.GetTypeName()].difference(_READ_ONCE)
-            attributes += [prim.GetAttribute(name) for name in followed]
+            names_read = FOLLOWED[prim.GetTypeName()].difference(_READ_ONCE)
+            attributes += [prim.GetAttribute(name) for name in names_read]
         for attribute in attributes:
             if attribute and attribute.ValueMightBeTimeVarying():
                 codes.update(attribute.GetTimeSamples())

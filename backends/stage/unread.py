@@ -12,12 +12,13 @@ import re
 from collections.abc import Collection
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, UsdSkel
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade
 
 from scenec.backends.stage import values
+from scenec.backends.stage.deforming import is_skinned
 from scenec.backends.stage.followed import NEUTRAL, is_followed
 from scenec.backends.stage.implicit import LENGTHS, kind_of
-from scenec.backends.stage.materialx import LOSSES
+from scenec.backends.stage.omniverse import applied_schemas, model_of
 from scenec.backends.stage.products import settings_of_products
 from scenec.backends.stage.rigid import flat, sheared, stretched
 from scenec.backends.stage.sources import Sources
@@ -29,15 +30,16 @@ from scenec.backends.stage.textures import (
     texture_maps,
 )
 from scenec.schemas import stage as names
+from scenec.schemas.omnipbr import mdl_shader
 from scenec.schemas.passes import is_pass
 
 _FIRST = Usd.TimeCode.EarliestTime()
 _CONSTANT = UsdGeom.Tokens.constant
 _UNKNOWN = Sdf.SpecTypeUnknown
 _SUBDIVIDED = (UsdGeom.Tokens.catmullClark, UsdGeom.Tokens.loop)
-#: Attributes of meshes whose change deforms them.
+#: Attributes of meshes whose change makes other faces of them.
 _DEFORMING = (
-    *("points", "faceVertexCounts", "faceVertexIndices", "holeIndices", "normals"),
+    *("faceVertexCounts", "faceVertexIndices", "holeIndices"),
     *("cornerIndices", "cornerSharpnesses", "creaseIndices", "creaseLengths", "creaseSharpnesses"),
     *("interpolateBoundary", "faceVaryingLinearInterpolation", "triangleSubdivisionRule"),
 )
@@ -48,8 +50,8 @@ LIGHTS = ("DistantLight", "DomeLight", "DomeLight_1", "SphereLight")
 #: Types that become something of a RenderScene.
 READ = frozenset(
     (
-        *("Mesh", "GeomSubset", "PointInstancer", "Camera", "Material", "Shader", "NodeGraph"),
-        *("RenderProduct", "RenderVar", *LIGHTS),
+        *("Mesh", "BasisCurves", "GeomSubset", "PointInstancer", "Camera", "Material", "Shader"),
+        *("NodeGraph", "RenderProduct", "RenderVar", *LIGHTS),
     )
 )
 
@@ -77,7 +79,7 @@ HARMLESS = frozenset(
 #: Types that show something, or shape light, and are not read.
 LOST = frozenset(
     (
-        *("BasisCurves", "HermiteCurves", "NurbsCurves", "NurbsPatch", "Points", "TetMesh"),
+        *("HermiteCurves", "NurbsCurves", "NurbsPatch", "Points", "TetMesh"),
         *("Volume", "ParticleField", "ParticleField3DGaussianSplat", "GenerativeProcedural"),
         *("CylinderLight", "DiskLight", "RectLight", "GeometryLight", "PortalLight"),
         *("PluginLight", "LightFilter", "PluginLightFilter"),
@@ -87,7 +89,7 @@ LOST = frozenset(
 KNOWN = READ | TESSELLATED | HARMLESS | LOST
 #: A plug-in's type that derives from one of these is taken for it.
 _BASES = (
-    *(UsdGeom.Mesh, UsdGeom.PointInstancer, UsdGeom.Xform, UsdGeom.Scope),
+    *(UsdGeom.Mesh, UsdGeom.BasisCurves, UsdGeom.PointInstancer, UsdGeom.Xform, UsdGeom.Scope),
     *(getattr(UsdGeom, kind) for kind in LENGTHS),
 )
 
@@ -98,7 +100,6 @@ _LENS = re.compile("projection|lens|distort|fisheye|panoram", re.IGNORECASE)
 _PINHOLES = ("pinhole", "perspective", "none", "")
 #: Inputs of UsdPreviewSurface that are not followed, and the value at which they do nothing.
 _WITHOUT_EFFECT = {
-    "opacity": 1.0,
     "displacement": 0.0,
     "clearcoat": 0.0,
     "normal": Gf.Vec3f(0.0, 0.0, 1.0),
@@ -108,8 +109,15 @@ BLENDED = (
     "opacity of UsdPreviewSurface without opacityThreshold is no blend: what is below "
     f"{names.OPACITY_THRESHOLD} is cut out"
 )
+#: What is said of opacity that is given by shape.
+FADED = (
+    "displayOpacity is no blend: triangles of which the mean is below "
+    f"{names.OPACITY_THRESHOLD} are left out"
+)
 #: Those that may be textures, by the kind of map that they become.
 _TEXTURED = {name: kind for kind, name in INPUTS.items()}
+#: Those that may be primvars.
+_DISPLAYED = {"diffuseColor": "displayColor", "opacity": "displayOpacity"}
 #: Those that only say how one of the others is meant, or of no effect on traced light.
 _ASIDE = frozenset(
     ("useSpecularWorkflow", "opacityThreshold", "opacityMode", "clearcoatRoughness", "occlusion")
@@ -237,14 +245,16 @@ class Unread:
         words: dict[str, None] = {}
         for attribute in prim.GetAuthoredAttributes():
             name = attribute.GetName()
+            if name.startswith("omni:rtx:"):
+                self.add("a camera's settings of Omniverse's renderer are not followed", prim)
             if name == "projection" or name.startswith("scenec:") or not _LENS.search(name):
                 continue
             value = values.value_of(attribute, _FIRST)
             switch = name.lower().endswith(("type", "model")) or isinstance(value, bool)
             if switch and value and str(value).lower() not in _PINHOLES:
                 words[f"{name} = {value}" if isinstance(value, str) else name] = None
-        schemas = [name for name in prim.GetAppliedSchemas() if _LENS.search(name)]
-        for word in words or schemas:
+        schemas = [name for name in applied_schemas(prim) if _LENS.search(name)]
+        for word in () if model_of(prim)[0] else words or schemas:
             self.add(
                 f"{word}: a lens of another renderer is not followed, a pinhole is drawn", prim
             )
@@ -258,31 +268,29 @@ class Unread:
         """
         mesh = UsdGeom.Mesh(prim)
         api = UsdGeom.PrimvarsAPI(prim)
-        self._attributes(prim, "Mesh" if mesh else kind_of(prim))
+        curves = UsdGeom.BasisCurves(prim)
+        self._attributes(prim, "Mesh" if mesh else "BasisCurves" if curves else kind_of(prim))
         if mesh:
             if values.word(mesh.GetSubdivisionSchemeAttr(), "") in _SUBDIVIDED:
                 self._cage(mesh)
             elif _corner_normals(mesh):
                 self.add("normals of face corners are not followed, faces are shaded flat", prim)
-            binding = UsdSkel.BindingAPI(prim)
-            if binding.GetJointIndicesPrimvar().HasValue() or (
-                binding.GetBlendShapeTargetsRel().HasAuthoredTargets()
-            ):
-                self.add("a skinned mesh stands in its rest pose", prim)
-        lengths = () if mesh else ("axis", *LENGTHS[kind_of(prim)])
+        elif is_skinned(prim) and not curves:
+            self.add("a skinned shape that is no mesh stands in its rest pose", prim)
+        lengths = ("axis", *LENGTHS.get(kind_of(prim), ("widths", "curveVertexCounts")))
         if self._changes(*(prim.GetAttribute(name) for name in (*_DEFORMING, *lengths))):
             self.add("a shape that deforms stands still, as it is at the first sample", prim)
         primvars = api.GetPrimvarsWithAuthoredValues()
         if self._changes(*(primvar.GetAttr() for primvar in primvars)):
             self.add("primvars that change stay as they are at the first sample", prim)
         if not material and _shows_display_color(prim):
-            if not mesh and not all_equal(api.FindPrimvarWithInheritance("displayColor")):
+            if kind_of(prim) and not all_equal(api.FindPrimvarWithInheritance("displayColor")):
                 self.add("displayColor that varies over a shape is shown as its mean", prim)
             opacity = api.FindPrimvarWithInheritance("displayOpacity")
             if opacity and opacity.HasValue():
                 found = values.array(opacity.GetAttr(), np.float64, _FIRST)
                 if found.min(initial=1.0) < 1.0:
-                    self.add("displayOpacity is not followed", prim)
+                    self.add(FADED, prim)
 
     def _cage(self, mesh: UsdGeom.Mesh) -> None:
         prim = mesh.GetPrim()
@@ -307,7 +315,7 @@ class Unread:
         self._materials.add(str(prim.GetPath()))
         if prim.GetAttribute(names.ATTR_BASE_COLOR).HasValue():
             return
-        for line in (prim.GetCustomDataByKey(LOSSES) or "").splitlines():
+        for line in (prim.GetCustomDataByKey(names.LOSSES) or "").splitlines():
             self.add(line, prim)
         shader, _, _ = material.ComputeSurfaceSource()
         if shader and values.word(shader.GetIdAttr(), "") == "UsdPreviewSurface":
@@ -315,6 +323,8 @@ class Unread:
         elif shader:
             told = values.word(shader.GetIdAttr(), "") or "a shader of its own"
             self.add(f"the surface {told} is not read, displayColor is shown", prim)
+        elif mdl := mdl_shader(material):
+            self.add(f"the MDL material {mdl[1]} is not read, displayColor is shown", prim)
         elif any(output.HasConnectedSource() for output in material.GetSurfaceOutputs()):
             self.add("a surface for other renderers is not read, displayColor is shown", prim)
         for kind, outputs, (source, _, _) in (
@@ -399,6 +409,8 @@ class Unread:
             node, _ = connected(shader, name)
             if node is None:
                 value = values.value_of(constant(shader, name), _FIRST)
+                if name == "opacity" and value != 1.0 and not opacity_threshold(shader)[1]:
+                    self.add(BLENDED, prim)
                 if name in _WITHOUT_EFFECT and value not in (None, _WITHOUT_EFFECT[name]):
                     self.add(f"{name} of UsdPreviewSurface is not followed", prim)
                 if self._changes(*found.GetValueProducingAttributes()):
@@ -413,10 +425,10 @@ class Unread:
                     self.add("wrap modes of textures are not followed, they repeat", prim)
                 if name == "normal" and not _is_usual(node):
                     self.add("scale and bias of a texture of normals are not followed", prim)
-            elif not (
-                name == "diffuseColor"
-                and values.word(constant(node, "varname"), "", _FIRST) == "displayColor"
-            ):
+            elif values.word(constant(node, "varname"), "", _FIRST) == _DISPLAYED.get(name):
+                if name == "opacity" and not opacity_threshold(shader)[1]:
+                    self.add(FADED, prim)
+            else:
                 source = values.word(node.GetIdAttr(), "") or "a node"
                 self.add(f"{name} of UsdPreviewSurface from {source} is not read", prim)
 

@@ -20,7 +20,7 @@ from scenec.compiler.assets.raster_window import RasterWindow
 from scenec.schemas.codec import Facts
 from scenec.schemas.errors import SceneError
 from scenec.schemas.files import NUMPY_FAULTS
-from scenec.schemas.maps import MOST_PIXELS, require_all_bits, require_size
+from scenec.schemas.maps import MOST_PIXELS, is_fine_color, require_size
 
 #: What marks holes in files that do not declare it; floating files take what is beyond any number.
 _VOIDS = frozenset(
@@ -307,7 +307,6 @@ def _read_picture(file: Path) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         with warnings.catch_warnings():
             # Large is no fault; what is too large is an error of Pillow's own.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            require_all_bits(file)
             with Image.open(file) as image:
                 require_size(image)
                 return _gray(file, image)
@@ -318,11 +317,13 @@ def _read_picture(file: Path) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         ) from error
     except (UnidentifiedImageError, OSError, SyntaxError) as error:
         raise SceneError(f"{file.name}: not a readable picture: {error}") from error
-    except ValueError as error:
-        raise SceneError(f"{file.name}: {error}") from error
 
 
 def _gray(file: Path, image: Any) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+    if is_fine_color(image):
+        raise SceneError(
+            f"{file.name}: 16 bits a channel in color: store heights as plain gray, without alpha"
+        )
     if image.mode.startswith("I;16"):
         return np.asarray(image).astype(np.uint16), None
     if image.mode == "I":

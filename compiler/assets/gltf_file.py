@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.compiler.assets.gltf_packed import DRACO, MESHOPT, unpacked_mesh, unpacked_view
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion
+from scenec.schemas.codec import JsonObject
 
 _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -22,7 +24,7 @@ _MOST_SHARED = 32
 #: Extensions that are followed, or that change nothing that is seen.
 FOLLOWED = frozenset((
     "KHR_mesh_quantization", "EXT_mesh_gpu_instancing", "KHR_node_visibility",
-    "KHR_texture_transform", "EXT_texture_webp", "KHR_xmp", "KHR_xmp_json_ld",
+    "KHR_texture_transform", "EXT_texture_webp", "KHR_xmp", "KHR_xmp_json_ld", DRACO, *MESHOPT,
 ))  # fmt: skip
 #: Those that leave geometry as it is, of which ``gltf_looks`` says what of them is left out.
 OF_LOOKS = frozenset((
@@ -59,10 +61,18 @@ class GltfFile:
         self._buffers = [
             binary
             if i == 0 and binary is not None and "uri" not in buffer
-            else self.fetch(str(buffer.get("uri", "")), "buffer")
+            else self._buffer(buffer)
             for i, buffer in enumerate(self.document.get("buffers", []))
         ]
+        self._views: dict[int, bytes] = {}
+        self._unpacked: dict[int, NDArray] = {}
         self._left = _MOST_SHARED * (len(data) + sum(map(len, self._buffers)))
+
+    def _buffer(self, buffer: dict[str, Any]) -> bytes:
+        if "uri" not in buffer and any(name in buffer.get("extensions", {}) for name in MESHOPT):
+            # Stands for views that are there compressed.
+            return b""
+        return self.fetch(str(buffer.get("uri", "")), "buffer")
 
     def fetch(self, uri: str, what: str) -> bytes:
         """Returns the bytes that a URI refers to."""
@@ -85,7 +95,27 @@ class GltfFile:
 
     def view(self, index: Any) -> bytes:
         """The bytes of a buffer view."""
-        view = self.document["bufferViews"][natural(index)]
+        if natural(index) not in self._views:
+            view = self.document["bufferViews"][index]
+            packed = [v for k, v in view.get("extensions", {}).items() if k in MESHOPT]
+            self._views[index] = self._bytes(packed[0] if packed else view)
+            if packed:
+                self._views[index] = unpacked_view(self._views[index], packed[0])
+                self._left += _MOST_SHARED * len(self._views[index])
+        return self._views[index]
+
+    def unpack(self, primitive: JsonObject) -> None:
+        """Has ``values`` give those of a primitive that are compressed by Draco."""
+        packed = primitive.get("extensions", {}).get(DRACO)
+        if packed is None:
+            return
+        corners, attributes = unpacked_mesh(self.view(packed["bufferView"]))
+        self._left += _MOST_SHARED * len(corners)
+        self._unpacked[natural(primitive["indices"])] = corners[:, None]
+        for name, unique in packed["attributes"].items():
+            self._unpacked[natural(primitive["attributes"][name])] = attributes[natural(unique)]
+
+    def _bytes(self, view: dict[str, Any]) -> bytes:
         buffer = self._buffers[natural(view["buffer"])]
         start, length = natural(view.get("byteOffset", 0)), natural(view["byteLength"])
         if start + length > len(buffer):
@@ -103,13 +133,24 @@ class GltfFile:
             raise MeshFileError(
                 f"an accessor of type {accessor['type']}, expected {' or '.join(kinds)}"
             )
-        if "sparse" in accessor or "bufferView" not in accessor:
-            raise MeshFileError("holds sparse accessors or empty ones: export it without")
         component, count = accessor["componentType"], natural(accessor["count"])
         width, kind = _WIDTHS[accessor["type"]], np.dtype(_KINDS[component])
         self._left -= count
         if self._left < 0:
             raise MeshFileError(f"a broken glTF file: an accessor of {count} items")
+        if index in self._unpacked:
+            rows = self._unpacked[index]
+            if rows.shape != (count, width):
+                raise MeshFileError("its header and its data do not fit: an accessor and its mesh")
+        else:
+            rows = self._rows(accessor, count, width, kind)
+        if accessor.get("normalized") and kind.kind in "iu":
+            return np.maximum(rows / float(np.iinfo(kind).max), -1.0)
+        return rows.astype(np.float64 if kind.kind == "f" else np.int64)
+
+    def _rows(self, accessor: dict[str, Any], count: int, width: int, kind: np.dtype) -> NDArray:
+        if "sparse" in accessor or "bufferView" not in accessor:
+            raise MeshFileError("holds sparse accessors or empty ones: export it without")
         data = self.view(accessor["bufferView"])
         view = self.document["bufferViews"][accessor["bufferView"]]
         item = width * kind.itemsize
@@ -117,10 +158,7 @@ class GltfFile:
         start = natural(accessor.get("byteOffset", 0))
         if step < item or (count and start + (count - 1) * step + item > len(data)):
             raise MeshFileError("its header and its data do not fit: an accessor beyond its view")
-        rows = np.ndarray((count, width), kind, data, start, (step, kind.itemsize))
-        if accessor.get("normalized") and kind.kind in "iu":
-            return np.maximum(rows / float(np.iinfo(kind).max), -1.0)
-        return rows.astype(np.float64 if kind.kind == "f" else np.int64)
+        return np.ndarray((count, width), kind, data, start, (step, kind.itemsize))
 
 
 def _required_version(document: Any) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
 from scenec.compiler.scene.material import Cutout
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.stage import OPACITY_THRESHOLD
 
 _REPEAT = 10497
@@ -40,6 +41,13 @@ class GltfLooks:
             self._numbers[index] = len(self.known)
             self.known.append(self._look(self._file.document["materials"][index]))
         return self._numbers[index]
+
+    def sees_alpha(self, primitive: JsonObject) -> bool:
+        """Whether a primitive's material is not opaque, whatever its vertices' alpha."""
+        if "material" not in primitive:
+            return False
+        material = self._file.document["materials"][natural(primitive["material"])]
+        return bool(material.get("alphaMode", "OPAQUE") != "OPAQUE")
 
     def _look(self, material: dict[str, Any]) -> looks.FileLook:
         name = str(material.get("name", ""))
@@ -135,6 +143,11 @@ class GltfLooks:
         texture = document["textures"][natural(info["index"])]
         webp = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source")
         index = texture.get("source", webp)
+        if index is None and "KHR_texture_basisu" in texture.get("extensions", {}):
+            raise MeshFileError(
+                "a picture in KTX2 alone (KHR_texture_basisu), which no reader here knows: turn it "
+                "into PNG, as 'ktx extract' of Khronos's KTX-Software does, or export it without"
+            )
         if index is None:
             return None
         sampler = self._sampler(info)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from scenec.compiler.assets.gltf_file import FOLLOWED, OF_LOOKS, GltfFile, natural
 from scenec.compiler.assets.gltf_looks import GltfLooks
-from scenec.compiler.assets.looks import NOT_FOLLOWED
+from scenec.compiler.assets.looks import NOT_FOLLOWED, VERTEX_ALPHA
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed, repeated
 from scenec.compiler.assets.trimesh_file import sound
@@ -97,13 +97,12 @@ class _GltfScene(GltfFile):
     def _shell(
         self, primitive: dict[str, Any], looks: GltfLooks | None, notes: list[str]
     ) -> list[Shell]:
-        if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
-            raise MeshFileError("compressed by KHR_draco_mesh_compression: export it without")
         mode, attributes = primitive.get("mode", _TRIANGLES), primitive["attributes"]
         if mode not in (_TRIANGLES, _STRIP, _FAN) or "POSITION" not in attributes:
             return []
         if primitive.get("targets"):
             notes.append("its morph targets are left out: it stands as at rest")
+        self.unpack(primitive)
         points = self.values(attributes["POSITION"], "VEC3").astype(np.float64)
         if "indices" in primitive:
             corners = self.values(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
@@ -125,6 +124,8 @@ class _GltfScene(GltfFile):
             normals = self._per_point(attributes["NORMAL"], len(points), "VEC3")[faces]
         if "COLOR_0" in attributes:
             colors = self._per_point(attributes["COLOR_0"], len(points), "VEC3", "VEC4")
+            if colors.shape[1] == 4 and (colors[:, 3] < 1.0).any() and looks.sees_alpha(primitive):
+                notes.append(VERTEX_ALPHA)
             colors = np.clip(np.nan_to_num(colors[:, :3]), 0.0, 1.0)[faces]
         number = looks.number(primitive["material"]) if "material" in primitive else -1
         owners = np.full(len(faces), number, np.int64)

@@ -29,11 +29,12 @@ Color = tuple[float, float, float]
 OPACITY = "its opacity is not shown: it is drawn, and labeled, as if it were solid"
 BLENDED = f"its opacity is no blend: what is below {OPACITY_THRESHOLD} is cut out"
 NO_VERTEX_COLORS = "the colors of its vertices are left out"
+VERTEX_ALPHA = "the alpha of its vertices cuts nothing out"
 NO_FACE_COLORS = "the colors of its faces are left out"
 NOT_FOLLOWED = "is not followed"
-_WARNINGS = (OPACITY, BLENDED, NO_VERTEX_COLORS, NO_FACE_COLORS, NOT_FOLLOWED)
+_WARNINGS = (OPACITY, BLENDED, VERTEX_ALPHA, NO_VERTEX_COLORS, NO_FACE_COLORS, NOT_FOLLOWED)
 #: Of these, those that do not count where a cfg gives a material of its own.
-OF_COLORS = (NO_VERTEX_COLORS, NO_FACE_COLORS)
+OF_COLORS = (VERTEX_ALPHA, NO_VERTEX_COLORS, NO_FACE_COLORS)
 
 
 @dataclass(frozen=True)

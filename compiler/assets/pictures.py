@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.scene.material import ImageFile
 from scenec.schemas.errors import SceneError
-from scenec.schemas.maps import read_pixels, require_all_bits
+from scenec.schemas.maps import read_pixels
 from scenec.schemas.scratch import scratch_folder
 
 #: Where a picture is: beside the model or inside of it.
@@ -132,13 +132,10 @@ def png(pixels: NDArray) -> bytes:
     """A PNG file without compression: the same bytes everywhere (ISO/IEC 15948, RFC 1950, 1951).
 
     Args:
-        pixels: uint8 or uint16, [h, w, 1 or 3]; floating ones in [0, 1] become uint16 if gray,
-            else uint8.
+        pixels: uint8 or uint16, [h, w, 1 or 3]; floating ones in [0, 1] become uint16.
     """
     if pixels.dtype.kind == "f":
-        kind = np.uint16 if pixels.shape[2] == 1 else np.uint8
-        codes = np.clip(pixels, 0.0, 1.0) * float(np.iinfo(kind).max)
-        pixels = np.floor(codes + 0.5).astype(kind)
+        pixels = np.floor(np.clip(pixels, 0.0, 1.0) * 65535.0 + 0.5).astype(np.uint16)
     height, width, channels = pixels.shape
     big = np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder(">")))
     rows = np.zeros((height, 1 + width * channels * big.itemsize), np.uint8)
@@ -181,11 +178,10 @@ def read_heights(file: Path) -> NDArray[np.float32]:
     """Reads a raw picture's red channel in [0, 1], float32 [h, w], row 0 at the top.
 
     Raises:
-        SceneError: It cannot be read, or holds what would be cut off or rounded to 8 bits.
+        SceneError: It cannot be read, or holds what would be cut off.
     """
     try:
         pixels = read_pixels(file)[..., 0]
-        require_all_bits(file)
     except ValueError as error:
         raise SceneError(f"{file.name}: {error}") from error
     if pixels.dtype.kind == "f":

@@ -1,11 +1,14 @@
-"""Materials of USD files: UsdPreviewSurface, with UsdUVTexture and UsdTransform2d before it."""
+"""Materials of USD files: UsdPreviewSurface, with UsdUVTexture and UsdTransform2d before it.
+
+MDL's OmniPBR is translated to that.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from pxr import Sdf, UsdShade
+from pxr import Sdf, Usd, UsdShade
 
 from scenec.compiler.assets import looks
 from scenec.compiler.assets.parts import MeshFileError
@@ -13,8 +16,9 @@ from scenec.compiler.assets.pictures import Source, companion, embedded
 from scenec.compiler.assets.usd import TIME
 from scenec.compiler.geometry import affine
 from scenec.compiler.scene.material import Cutout
+from scenec.schemas.omnipbr import as_preview_surface, mdl_shader
 from scenec.schemas.packages import is_packaged, packaged_bytes, packaged_name
-from scenec.schemas.stage import OPACITY_THRESHOLD
+from scenec.schemas.stage import LOSSES, OPACITY_THRESHOLD
 
 _KINDS = {
     "base_color": "diffuseColor", "roughness": "roughness", "metallic": "metallic",
@@ -36,6 +40,8 @@ class UsdLooks:
     def __init__(self, file: Path):
         self._file = file
         self._numbers: dict[str, int] = {}
+        # Holds translations of MDL.
+        self._scratch = Usd.Stage.CreateInMemory()
         self.known: list[looks.FileLook] = []
         self.companions: list[Path] = []
         self.notes: list[str] = []
@@ -53,13 +59,15 @@ class UsdLooks:
         return self._numbers[path]
 
     def _look(self, material: UsdShade.Material) -> looks.FileLook:
-        name = str(material.GetPrim().GetName())
+        name, mdl = str(material.GetPrim().GetName()), mdl_shader(material)
+        material = as_preview_surface(material, self._scratch, resolved=False) or material
         shader = material.ComputeSurfaceSource()[0]
         kind = str(shader.GetIdAttr().Get()) if shader else ""
         if kind != "UsdPreviewSurface":
             what = f"its shader {kind}" if shader else "a material without a UsdPreviewSurface"
+            what = f"its MDL material {mdl[1]}" if mdl else what
             return looks.FileLook(name, notes=(f"{what} is not known: it is shown in gray",))
-        notes: list[str] = []
+        notes: list[str] = (material.GetPrim().GetCustomDataByKey(LOSSES) or "").splitlines()
         clamps: list[bool] = []
         slots: dict[str, looks.Slot] = {}
         values: dict[str, Any] = {"diffuseColor": (0.18, 0.18, 0.18)}
@@ -124,7 +132,9 @@ class UsdLooks:
         texture = UsdShade.Shader(output.GetPrim())
         shader = str(texture.GetIdAttr().Get()) if texture else ""
         if shader != "UsdUVTexture":
-            if kind == "base_color" and shader.startswith("UsdPrimvarReader"):
+            if kind == "base_color" and shows_display_color(texture):
+                values["diffuseColor"] = (1.0, 1.0, 1.0)
+            elif kind == "base_color" and shader.startswith("UsdPrimvarReader"):
                 notes.append(looks.NO_VERTEX_COLORS)
             else:
                 notes.append(f"what gives its {kind} ({shader or 'a node'}) is not known")
@@ -178,6 +188,23 @@ class UsdLooks:
         if path not in self.companions:
             self.companions.append(path)
         return path
+
+
+def shows_display_color(node: UsdShade.Shader) -> bool:
+    """Tells whether a node reads displayColor."""
+    kind = str(node.GetIdAttr().Get()) if node else ""
+    return kind.startswith("UsdPrimvarReader") and _value(node, "varname") == "displayColor"
+
+
+def has_display_color(material: UsdShade.Material | None) -> bool:
+    """Tells whether a material's color is displayColor; so it is without a material."""
+    if material is None:
+        return True
+    shader = material.ComputeSurfaceSource()[0]
+    producer = _producer(shader.GetInput("diffuseColor")) if shader else None
+    if producer is None or _is_value(producer):
+        return False
+    return shows_display_color(UsdShade.Shader(producer.GetPrim()))
 
 
 def _producer(source: UsdShade.Input | None) -> Any:

@@ -16,7 +16,7 @@ from scenec.compiler.assets import usd
 from scenec.compiler.assets.looks import OPACITY
 from scenec.compiler.assets.parts import MeshFileError, polygon_warnings
 from scenec.compiler.assets.shells import ParsedModel, Shell, placed
-from scenec.compiler.assets.usd_looks import UsdLooks
+from scenec.compiler.assets.usd_looks import UsdLooks, has_display_color
 from scenec.schemas.polygons import triangulate
 from scenec.schemas.subdivision import FaceVarying, hanging
 
@@ -109,6 +109,7 @@ def _split(
     """A mesh by its subsets of faces; where several have a face, the first names it."""
     count = int(polygon.max()) + 1 if len(polygon) else 0
     owners, part = shell.owners().copy(), np.full(len(shell.faces), -1, np.int64)
+    colors = shell.colors
     subsets = [
         subset
         for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(mesh.GetPrim()))
@@ -121,8 +122,11 @@ def _split(
         of_subset = chosen[polygon]
         part[of_subset & (part < 0)] = i
         if subset.GetFamilyNameAttr().Get() == UsdShade.Tokens.materialBind:
-            owners[of_subset] = looks.number(_bound(subset.GetPrim()))
-    shell = replace(shell, material=owners)
+            bound = _bound(subset.GetPrim())
+            owners[of_subset] = looks.number(bound)
+            if colors is not None and not has_display_color(bound):
+                colors = np.where(of_subset[:, None, None], 1.0, colors)
+    shell = replace(shell, material=owners, colors=colors)
     if (part < 0).all():
         return [shell]
     paths = [*(str(subset.GetPath()) for subset in subsets), shell.path]
@@ -177,9 +181,10 @@ class _Primvars:
         return self._spread("normals", values, interpolation, 3)
 
     def color(self) -> NDArray[np.float64] | None:
-        """displayColor, which stands in for a material; USD's colors are linear."""
+        """displayColor, where that is the material's; USD's colors are linear."""
         primvar = self._mesh.GetDisplayColorPrimvar()
-        if _bound(self._mesh.GetPrim()) is not None or not primvar or not primvar.HasValue():
+        bound = _bound(self._mesh.GetPrim())
+        if not has_display_color(bound) or not primvar or not primvar.HasValue():
             return None
         values = primvar.ComputeFlattened(usd.TIME)
         if values is None or not len(values):

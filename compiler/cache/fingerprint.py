@@ -16,7 +16,7 @@ from scenec.schemas.files import digest_of_folder
 #: Whose version can change what is computed.
 _LIBRARIES = (
     *("scenec", "numpy", "numba", "llvmlite", "scipy", "usd-core", "openexr", "pillow"),
-    *("trimesh", "rasterio", "bpy"),
+    *("trimesh", "rasterio", "bpy", "dracopy", "meshopt"),
 )
 #: What of the folders is code: data that code reads counts, too.
 _SUFFIXES = frozenset({".py", ".json", ".csv", ".npz", ".npy", ".txt"})

@@ -266,10 +266,10 @@ class TrackFile:
     sampling: Sampling | None = key(an("pose_sampling", drawn=True), sparse=True)
     """At which times the samples are; left out, at the first stamps, one row a sample."""
     interpolation: Literal["linear", "cubic", "screw", "spline"] | None = key(CHOICE, sparse=True)
-    """Between stamps: linear (also where it is left out: straight lines, turns the shorter way at
-    an even rate), cubic (through all stamps with continuous velocities), screw (positions and
-    turns together, along the helix between two poses) or spline (through all stamps with continuous
-    accelerations, as an IMU needs)."""
+    """How poses between two stamps are found. linear, the default: straight lines, and turns the
+    shorter way at an even rate. cubic: a curve through all stamps without jumps of velocity. screw:
+    a helix from pose to pose, which moves and turns at once. spline: a curve without jumps of
+    acceleration, as an IMU needs."""
     max_gap_s: float | None = key(CONSTANT, sparse=True, above=0, at_most=1000000000.0, unit="s")
     """Stamps that are farther apart are a gap; left out, none are."""
     gaps: Literal["error", "hold"] | None = key(CHOICE, sparse=True)

@@ -69,6 +69,10 @@ def _write_sun(stage: Usd.Stage, name: str, sun: SunDisc) -> None:
     author(light.CreateIntensityAttr(), sun.irradiance.tolist())
     author(light.CreateAngleAttr(), sun.diameter_deg.tolist())
     author(light.CreateColorAttr(), [Gf.Vec3f(*color) for color in sun.color.tolist()])
+    for field, (attribute, kind) in names.SOLAR_TIME.items() if sun.times else ():
+        values = [getattr(time, field) for time in sun.times]
+        if values[0] is not None:
+            author(custom(light.GetPrim(), attribute, getattr(TYPES, kind)), values)
     if sun.gobo is not None:
         _write_gobo(stage, light, sun.gobo)
 

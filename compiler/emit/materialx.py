@@ -50,7 +50,8 @@ def write_material(path: Path, name: str, material: Material, maps: dict[str, st
         UsdGeom.Scope.Define(stage, LOOKS)
         network = _Network(stage, UsdShade.Material.Define(stage, look_path(name)))
         files = {kind: f"../{file}" for kind, file in maps.items()}
-        network.end(_Layer(network, "", material, files).bsdf())
+        layer = _Layer(network, "", material, files)
+        network.end(layer.bsdf(), **layer.mask())
 
 
 @memoized_file("emit")
@@ -138,9 +139,9 @@ class _Network:
             _weight_node(merge), "ND_geompropvalue_float", geomprop=names.weight_primvar(merge)
         )
 
-    def end(self, bsdf: UsdShade.Output) -> None:
-        """Makes a BSDF the material's surface for MaterialX."""
-        surface = self.node("MaterialX", "ND_surface", bsdf=bsdf)
+    def end(self, bsdf: UsdShade.Output, **opacity: Value) -> None:
+        """Makes a BSDF the material's surface for MaterialX, cut out where its opacity is 0."""
+        surface = self.node("MaterialX", "ND_surface", bsdf=bsdf, **opacity)
         self._material.CreateSurfaceOutput(mtlx.CONTEXT).ConnectToSource(surface)
         # UsdMtlx's schema, which usd-core lacks. Without it the nodes pass for version 1.38.
         prim = self._material.GetPrim()
@@ -173,6 +174,23 @@ class _Layer:
             metal = self._ggx("metal", color, normal)
             surface = mix(f"{self._prefix}metallic", surface, metal, metallic)
         return surface
+
+    def mask(self) -> dict[str, Value]:
+        """The surface's opacity, 1 or 0, where a picture cuts it out."""
+        cutout = None if self._material.maps is None else self._material.maps.cutout
+        if cutout is None or "opacity" not in self._files:
+            return {}
+        modes = [{"repeat": "periodic"}.get(wrap, wrap) for wrap in cutout.wrap]
+        place = self._network.node("st", "ND_geompropvalue_vector2", geomprop=names.PRIMVAR_UV)
+        alpha = self._node(
+            "opacity_map", "ND_image_float", file=Sdf.AssetPath(self._files["opacity"]),
+            texcoord=place, uaddressmode=modes[0], vaddressmode=modes[1],
+        )  # fmt: skip
+        kept = self._node(
+            "opacity", "ND_ifgreatereq_float",
+            value1=alpha, value2=cutout.threshold, in1=1.0, in2=0.0,
+        )  # fmt: skip
+        return {"opacity": kept}
 
     def _node(self, name: str, node_id: str, **inputs: Value) -> UsdShade.Output:
         return self._network.node(f"{self._prefix}{name}", node_id, **inputs)

@@ -97,7 +97,7 @@ PER_INSTANCE = Form(
 PER = one_of("batch", "sample", "instance").but(
     description=(
         "When it is drawn: once a batch, once a sample, or once for each instance. Left "
-        'out, as the key says under "drawn".'
+        "out, as the key says after its type; else once a batch."
     )
 )
 FRACTION_PER_BATCH = bounded(PER_BATCH, at_least=0, at_most=1)

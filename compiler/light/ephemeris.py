@@ -96,12 +96,13 @@ class SunOverBody:
     Attributes:
         overhead: The place below it.
         ls_deg: Areocentric longitude of the Sun, Mars's season; None elsewhere.
-        mean_time_h: Mean solar time at longitude 0 of Mars (MTC); None elsewhere.
+        mean_time_h: Mean solar time at longitude 0: UT of Earth, MTC of Mars; of the Moon by its
+            mean elongation D, that of a mean sun over longitude 180 - D.
     """
 
     overhead: Overhead
+    mean_time_h: float
     ls_deg: float | None = None
-    mean_time_h: float | None = None
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,11 @@ def solar_time_h(sun: Overhead, longitude_deg: float) -> float:
     return _turn(longitude_deg - sun.longitude_deg + 180.0) / 15.0
 
 
+def mean_solar_time_h(sun: SunOverBody, longitude_deg: float) -> float:
+    """Returns the mean solar time of a place: that of a sun that goes evenly."""
+    return _turn(15.0 * sun.mean_time_h + longitude_deg) / 15.0
+
+
 def turned(azimuth_deg: float, east_north: tuple[float, float, float, float]) -> float:
     """Returns the bearing from +y of an azimuth from north.
 
@@ -184,7 +190,8 @@ def _sun_of_earth(ut: float, tt: float) -> SunOverBody:
     sidereal = 280.46061837 + 360.98564736629 * ut + 0.000387933 * of_ut * of_ut
     east = _turn(_atan2(y, x) - (sidereal + nutation * _cos(tilt)))
     declination = _atan2(z, _norm(x, y))
-    return SunOverBody(Overhead(declination, east, distance * AU_KM))
+    mean_time = 24.0 * (ut + 0.5 - float(np.floor(ut + 0.5)))
+    return SunOverBody(Overhead(declination, east, distance * AU_KM), mean_time)
 
 
 def _solar_longitude(t: float) -> tuple[float, float]:
@@ -243,7 +250,7 @@ def _sun_of_moon(ut: float, tt: float) -> SunOverBody:
     level = _norm(x, y)
     longitude = sun + 180.0 - _ABERRATION + _atan2(y, x)
     below = _selenographic(moon, t, longitude, _atan2(z, level))
-    return SunOverBody(replace(below, distance_km=_norm(level, z)))
+    return SunOverBody(replace(below, distance_km=_norm(level, z)), _turn(moon.d) / 15.0)
 
 
 def earth_over_moon(time: np.datetime64) -> EarthOverMoon:
@@ -296,7 +303,7 @@ def _sun_of_mars(ut: float, tt: float) -> SunOverBody:
     distance -= 0.00031 * _cos(3.0 * anomaly) + 0.00003 * _cos(4.0 * anomaly)
     west = mean_time * 15.0 + equation + 180.0
     return SunOverBody(
-        Overhead(declination, _turn(-west), 1.52367934 * distance * AU_KM), ls, mean_time
+        Overhead(declination, _turn(-west), 1.52367934 * distance * AU_KM), mean_time, ls
     )
 
 

@@ -14,6 +14,7 @@ from scenec.compiler.distributions.numbers import Number
 from scenec.compiler.kinds import Context, Finding, Node, bounded, forms, key
 from scenec.compiler.light.suns import SunTrack, check_color, of_luminance_one
 from scenec.schemas.errors import SceneError
+from scenec.schemas.records import SolarTime
 from scenec.schemas.spelling import shown
 
 if TYPE_CHECKING:
@@ -130,18 +131,29 @@ class SunEphemeris:
         given = drawn.get("irradiance", SOLAR_IRRADIANCE / (au * au))
         color = drawn.get("color", np.ones((context.samples, 3)))
         disc = _disc(seen(overhead), ephemeris.SUN_RADIUS_KM, given, color)
+        clocks = tuple(
+            SolarTime(
+                body=self.body,
+                time_utc=f"{np.datetime_as_string(time, unit='ms')}Z",
+                solar_time_h=ephemeris.solar_time_h(sun.overhead, east),
+                mean_solar_time_h=ephemeris.mean_solar_time_h(sun, east),
+                ls_deg=sun.ls_deg,
+            )
+            for time, sun, east in zip(times, suns, longitudes.tolist(), strict=True)
+        )
+        disc = replace(disc, times=clocks)
         facts: dict[str, Any] = {
             "body": self.body,
-            "time_utc": [f"{np.datetime_as_string(time, unit='ms')}Z" for time in times],
+            "time_utc": [clock.time_utc for clock in clocks],
             "latitude_deg": latitudes.tolist(),
             "longitude_deg": longitudes.tolist(),
             **_facts(disc, overhead),
             "distance_au": au.tolist(),
-            "solar_time_h": list(map(ephemeris.solar_time_h, overhead, longitudes.tolist())),
+            "solar_time_h": [clock.solar_time_h for clock in clocks],
+            "mean_solar_time_h": [clock.mean_solar_time_h for clock in clocks],
         }
         if self.body == "mars":
-            facts["ls_deg"] = [one.ls_deg for one in suns]
-            facts["mean_time_h"] = [one.mean_time_h for one in suns]
+            facts["ls_deg"] = [clock.ls_deg for clock in clocks]
         if not self.earthshine:
             return SunTrack(disc, {}, facts)
         usual, earths = Earthshine(), [ephemeris.earth_over_moon(time) for time in times]

@@ -18,7 +18,7 @@ from scenec.compiler.materials.periodic import Plane
 from scenec.compiler.materials.reduce import rms_of, slopes
 from scenec.compiler.materials.resample import box, doubled
 from scenec.compiler.materials.tile import step
-from scenec.compiler.materials.values import Source, normal_picture, normals, unit
+from scenec.compiler.materials.values import Source, is_fine, normal_picture, normals, unit
 from scenec.schemas.codec import Facts
 
 #: Heights in tolerances between which an octave goes from the picture to the mesh.
@@ -47,7 +47,8 @@ def finer_normals(
     shown = _resolved(along, 2.0 * texel_m, scale, 2.0 * finest_m)
     kept = [plane - part for plane, part in zip(along, shown, strict=True)]
     leaning = unit(np.stack([*kept, np.ones_like(kept[0])], axis=-1))
-    return normal_picture(leaning), {"slope_rms": rms_of(*along), "slope_rms_kept": rms_of(*kept)}
+    facts = {"slope_rms": rms_of(*along), "slope_rms_kept": rms_of(*kept)}
+    return normal_picture(leaning, is_fine(source)), facts
 
 
 def _resolved(

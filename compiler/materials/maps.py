@@ -12,6 +12,7 @@ from scenec.compiler.kinds.finding import Path as Place
 from scenec.schemas.codec import JsonObject
 from scenec.schemas.maps import MAP_CHANNELS
 from scenec.schemas.spelling import shown
+from scenec.schemas.stage import OPACITY_THRESHOLD
 
 if TYPE_CHECKING:
     # A cfg is checked without what paints.
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 
 #: Keys that are files of pictures.
 _FILES = (
-    "base_color", "roughness", "gloss", "metallic", "normal", "ambient_occlusion", "displacement",
-    "emission",
+    "base_color", "roughness", "gloss", "metallic", "packed", "normal", "ambient_occlusion",
+    "displacement", "emission", "opacity",
 )  # fmt: skip
 
 
@@ -91,6 +92,13 @@ class MapsKeys:
     """Gloss, raw: the roughness is 1 less it. Not together with roughness."""
     metallic: Path | None = key(file("map"), optional=True)
     """Metallic part, raw, in place of the number."""
+    packed: Path | None = key(file("map"), optional=True)
+    """Ambient occlusion, roughness and metallic part in one picture's red, green and blue, raw, as
+    packed_order says. Of these, what a key of its own names is not taken from it."""
+    packed_order: Literal["orm", "omr", "rom", "rmo", "mor", "mro"] = key(
+        forms.CHOICE, default="orm"
+    )
+    """What red, green and blue of packed are: o for occlusion, r for roughness, m for metallic."""
     normal: Path | None = key(file("map"), optional=True)
     """Normals n = 2 rgb - 1, raw, x to the right in the picture."""
     normal_convention: Literal["opengl", "directx"] = key(forms.CHOICE, default="opengl")
@@ -110,6 +118,11 @@ class MapsKeys:
     out, it stays flat."""
     emission: Path | None = key(file("map"), optional=True)
     """Colors that multiply the material's emission: sRGB, or linear Rec.709 in OpenEXR."""
+    opacity: Path | None = key(file("map"), optional=True)
+    """Opacity, raw: where it is below opacity_threshold nothing is there, for annotation and all
+    renderers. With the projection uv."""
+    opacity_threshold: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
+    """Least opacity of what is there; left out, 0.5."""
     cells: JsonObject | None = key(an("material_cells"), optional=True)
     """Keeps pictures that are projected from above from repeating. {} takes the usual size; left
     out, they repeat."""
@@ -139,9 +152,9 @@ class MapsKeys:
             glows: Whether it gives off light, which a picture can vary.
         """
         # Imported here: a cfg without files is checked without what reads them.
-        from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
+        from scenec.compiler.assets.texture_set import TextureSet, read_texture_set, unpacked
         from scenec.compiler.materials.plan import MapSources
-        from scenec.compiler.scene.material import Far, MaterialMaps, TilingCells
+        from scenec.compiler.scene.material import Cutout, Far, MaterialMaps, TilingCells
 
         given = {kind: getattr(self, kind) for kind in _FILES if getattr(self, kind) is not None}
         own, found, convention = frozenset(given), TextureSet({}, None, (), ()), None
@@ -161,6 +174,8 @@ class MapsKeys:
         cells = None
         if self.cells is not None:
             cells = TilingCells(self.cells["size_m"] or size_m, context.key("cells") >> 33)
+        threshold = self.opacity_threshold
+        threshold = OPACITY_THRESHOLD if threshold is None else threshold
         maps = MaterialMaps(
             size_m=size_m,
             files={kind: given[kind] for kind in MAP_CHANNELS if kind in given},
@@ -168,13 +183,15 @@ class MapsKeys:
             projection=self.projection or ("triplanar" if worn else "above"),
             cells=cells,
             far=None if self.far is None else Far(**self.far),
+            cutout=None if self.opacity is None else Cutout(threshold),
         )
         sources = MapSources(
             gloss=given.get("gloss"),
             occlusion=given.get("ambient_occlusion"),
             occlusion_strength=self.ambient_occlusion_strength,
             packed=given.get("packed"),
-            unpacked=found.unpacked(own),
+            packed_order=self.packed_order,
+            unpacked=unpacked(given),
             heights=given.get("displacement"),
             heights_m=self.displacement_m,
             as_is=self.resolution == "as_is",
@@ -248,11 +265,18 @@ def _check_sources(maps: Node) -> Iterator[Finding]:
             "displacement without displacement_m: expected how high white lies above black, 0 for "
             "a flat ground whose layers blend by the picture"
         )
+    if "opacity" in maps and maps["projection"] != "uv":
+        yield maps.key_fault(
+            'a mask lies by texture coordinates: expected "projection": "uv"', "opacity"
+        )
     for own, other in (
+        ("opacity_threshold", "opacity"),
         ("displacement_m", "displacement"),
         ("ambient_occlusion_strength", "ambient_occlusion"),
+        ("packed_order", "packed"),
     ):
-        if own in maps and other not in maps and "folder" not in maps:
+        others = {other, "folder"} | ({"packed"} if other == "ambient_occlusion" else set())
+        if own in maps and not any(key in maps for key in others):
             yield maps.key_fault(
                 f"{own} without a picture: expected the key {other} or folder, too", own
             )

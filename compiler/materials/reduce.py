@@ -130,7 +130,7 @@ def _normal(source: Source, times: int) -> Reduced:
     for _ in range(times):
         vectors = box(vectors)
     vectors = unit(vectors)
-    picture = normal_picture(vectors)
+    picture = normal_picture(vectors, is_fine(source))
     return Reduced(
         picture,
         (1.0, 1.0, 1.0),

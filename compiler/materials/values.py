@@ -168,10 +168,11 @@ def gray_picture(plane: Plane, fine: bool = False) -> ImageFile:
     return picture_of(codes.astype(np.uint16 if fine else np.uint8)[..., None])
 
 
-def normal_picture(vectors: Planes) -> ImageFile:
-    """Unit vectors as 8 bits."""
-    codes = np.floor(127.5 * (vectors.astype(np.float64) + 1.0) + 0.5)
-    return picture_of(np.clip(codes, 0.0, 255.0).astype(np.uint8))
+def normal_picture(vectors: Planes, fine: bool = False) -> ImageFile:
+    """Unit vectors as 8 bits, or 16."""
+    largest = 65535 if fine else 255
+    codes = np.floor(0.5 * largest * (vectors.astype(np.float64) + 1.0) + 0.5)
+    return picture_of(np.clip(codes, 0.0, largest).astype(np.uint16 if fine else np.uint8))
 
 
 def is_fine(source: Source) -> bool:

@@ -26,7 +26,7 @@ from scenec.compiler.objects.foliage import foliage_chain
 from scenec.compiler.objects.lod import Levels, budget_factor, choose_levels, see_levels
 from scenec.compiler.objects.models import ModelKeys
 from scenec.compiler.objects.placed import PlacedPlan, place_objects
-from scenec.compiler.objects.placement_context import PlacementContext, plan_circles
+from scenec.compiler.objects.placement_context import PlacementContext, footprints, plan_circles
 from scenec.compiler.objects.plan import ModelSource, ScatterPlan
 from scenec.compiler.objects.prototypes import Looks, build_prototype
 from scenec.compiler.objects.rocks import Chain, build_chains
@@ -206,6 +206,7 @@ class Placing:
                     continue
                 # All that a class can see of others is what its plan names.
                 near = context.only(_referred_classes(plan, context.objects), plan.beyond_m)
+                self._measure_footprints(plan, near)
                 levels, facts = _scattered(
                     _without_files(plan), chains, near, context.views, context.unseen
                 )
@@ -216,6 +217,15 @@ class Placing:
                     context.surface, own["fillets"] = add_fillets(
                         plan.fillet, levels.scatter, context
                     )
+
+    def _measure_footprints(self, plan: ScatterPlan, near: PlacementContext) -> None:
+        """Measures how wide the earlier classes are that a class keeps apart from."""
+        if plan.spacing is None or plan.spacing.radius is not None:
+            return
+        for one in self.placed:
+            laid = one.scatter if isinstance(one, Levels) else one
+            if laid.name in (plan.spacing.of or ()):
+                near.footprints[laid.name] = footprints(laid)
 
     def choose(self, max_triangles: int | None) -> tuple[Objects, Facts]:
         """Chooses the levels of what is placed; all together have so many triangles at most."""

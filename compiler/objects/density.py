@@ -312,12 +312,13 @@ class AroundDensity(Density):
     of: str = key(forms.TEXT)
     """The class."""
     reach: float = key(forms.PER_BATCH, default=1.5, above=0, at_most=1000)
-    """How far it reaches, in radii of the ball around an object, from the circle around it."""
+    """How far it reaches beyond the circle around an object, as a multiple of that circle's radius:
+    the distance from the object's origin to its farthest point."""
     inside: float = key(forms.FRACTION_PER_BATCH, default=0.6)
-    """Where it begins, in the same radii from the middle: rocks are narrower than the circle around
-    them."""
+    """Where it begins, in the same radii from the object's origin: below 1, as rocks are narrower
+    than their circle."""
     min_size_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
-    """Smaller objects have none, by the diameter of the ball."""
+    """Objects whose circle has a smaller diameter have none."""
     background: float = key(forms.BACKGROUND)
 
     def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from scenec.compiler.objects.candidates import Candidates, numbers
 from scenec.compiler.objects.height_candidates import candidates_on
 from scenec.compiler.objects.mesh_candidates import MeshCandidates
 from scenec.compiler.objects.placement import ClassPlacement, seating_report
-from scenec.compiler.objects.placement_context import PlacementContext
+from scenec.compiler.objects.placement_context import PlacementContext, footprint_radii
 from scenec.compiler.objects.plan import ObjectCount, ScatterPlan
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.objects.scattered import Spacing
@@ -142,7 +142,18 @@ class _Scattering:
         self._reach = self._radius
         self.spacing = None if self._candidates is None else plan.spacing
         if self.spacing is not None:
-            self._reach = self.spacing.radius * self._radius + 0.5 * self.spacing.gap_m
+            self._reach = self._circles(self.spacing) + 0.5 * self.spacing.gap_m
+
+    def _circles(self, spacing: Spacing) -> NDArray[np.float64]:
+        """Radii of the objects' circles in plan, float64 [n]."""
+        if spacing.radius is not None:
+            return spacing.radius * self._radius
+        if self.plan.align:
+            # Seen from above, they are as wide as the ground turns them: at most this.
+            return self._radius
+        which = np.arange(self.n)
+        turns = turned(self.plan.orientations[which].astype(np.float16), _scales(self.plan, which))
+        return footprint_radii(self.prototypes, self.plan.prototype[which], turns)
 
     def place_all(self) -> None:
         """Gives each the first candidate that keeps its distance in plan."""
@@ -161,12 +172,13 @@ class _Scattering:
     def _packed(self, spacing: Spacing, first: NDArray[np.int64]) -> NDArray[np.int64]:
         """The try that each takes, none before its first; -1 where there is no place."""
         assert self._candidates is not None
-        laid = self._context.objects
+        context, times = self._context, spacing.radius
+        laid, times = (context.footprints, 1.0) if times is None else (context.objects, times)
         of = spacing.of or (self.plan.name,)
         others = [laid[name] for name in of if name in laid]
         disks = Disks(len(first) + sum(len(other.x) for other in others))
         for other in others:
-            disks.add(other.x, other.y, spacing.radius * other.radius + 0.5 * spacing.gap_m)
+            disks.add(other.x, other.y, times * other.radius + 0.5 * spacing.gap_m)
         order = np.argsort(-self._reach, kind="stable")
         own, key = self.plan.name in of, self.plan.place_key
         tries = np.empty(len(first), np.int64)

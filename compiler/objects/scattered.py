@@ -26,9 +26,10 @@ class Spacing:
 
     gap_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
     """Least gap between two circles."""
-    radius: float = key(forms.PER_BATCH, default=1, at_least=0, at_most=100)
-    """A circle's radius, in radii of the ball around its object. Rocks are narrower than their
-    ball: 1 keeps all apart, 0.7 lets some touch."""
+    radius: float | None = key(forms.PER_BATCH, optional=True, at_least=0, at_most=100)
+    """A circle's radius, as a multiple of the distance from its object's origin to its farthest
+    point, tops of trees included. Left out: circles are as wide as the objects are from above, and
+    none overlap (with orientation normal, which the place decides: 1)."""
     of: tuple[str, ...] | None = key(list_of(forms.TEXT, least=1, unique=True), optional=True)
     """Classes to keep apart from: this one, or earlier ones, whose own apart does not matter. Left
     out: this one."""
@@ -78,8 +79,8 @@ class Scattered:
     )
     """Least distance from any camera of any sample to an object's geometry; an object that is
     nearer is put elsewhere, so at 0 no camera is inside of one, and may be under a tree's crown.
-    Below 0, cameras may also be in the geometry, so far within the ball around it; -1000000:
-    anywhere. The geometry counts as a 48th of its size larger at most."""
+    Below 0, cameras may also be in the geometry, so far within the sphere about its origin that
+    holds it; -1000000: anywhere. The geometry counts as a 48th of its size larger at most."""
     orientation: Literal["random", "upright", "normal"] | None = key(forms.CHOICE, optional=True)
     """random: any; upright: turned about the vertical only; normal: turned about the ground's
     normal only. Left out: normal for slabs, random for other rocks, upright for meshes."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.arithmetic import elementary
+from scenec.schemas.records import SolarTime
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class SunDisc:
         diameter_deg: Full angular diameter, [s].
         color: Linear Rec.709, [s, 3], of luminance 1.
         gobo: What it shines through, or None.
+        times: Of a sun that was computed, what time it is at every sample.
     """
 
     azimuth_deg: NDArray[np.float64]
@@ -50,6 +52,7 @@ class SunDisc:
     diameter_deg: NDArray[np.float64]
     color: NDArray[np.float64]
     gobo: Gobo | None = None
+    times: tuple[SolarTime, ...] = ()
 
     def direction(self, sample: int) -> tuple[float, float, float]:
         """Unit vector to the sun."""

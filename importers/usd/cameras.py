@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ from scenec.importers.report import ADDED, APPROXIMATED, DROPPED, TRANSLATED
 from scenec.importers.scene import intrinsics, orbit, unused, varied_pose
 from scenec.importers.usd.scene import Scene, name_of
 from scenec.importers.writers import track_writer
-from scenec.schemas.lens import COEFFICIENTS
+from scenec.schemas.lens import COEFFICIENTS, KANNALA_BRANDT
 
 #: f-numbers that a cfg can have.
 _STOPS = (0.5, 1000.0)
@@ -90,6 +91,8 @@ def _sensor(scene: Scene, views: Seen, to: str) -> dict[str, Any]:
     if camera.lens is not None:
         numbers = zip(COEFFICIENTS[camera.lens.model], camera.lens.coefficients, strict=True)
         sensor["lens"] = {"type": camera.lens.model, **{k: v for k, v in numbers if v}}
+        if camera.lens.model == KANNALA_BRANDT and camera.lens.max_angle < math.pi:
+            sensor["lens"]["max_angle_deg"] = tidy(math.degrees(camera.lens.max_angle))
         report.add(TRANSLATED, at, camera.lens.model, f"{to}/lens")
     if camera.exposure_per is None:
         sensor["exposure"] = {"type": "fixed", "ev": tidy(camera.exposure_ev)}

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from scenec.backends.stage.scene import Mesh
+from scenec.backends.stage.scene import Mesh, Surface
 from scenec.importers.scene import unused
 
 #: What holds the meshes that models refer to; nothing shows it.
 _SHAPES = "/_shapes"
+_TYPES = Sdf.ValueTypeNames
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,11 @@ class ModelWriter:
     """Collects the models of a cfg, in meters, z up.
 
     Args:
-        meshes: Of the stage.
+        meshes, surfaces: Of the stage.
     """
 
-    def __init__(self, meshes: tuple[Mesh, ...]) -> None:
-        self._meshes = meshes
+    def __init__(self, meshes: tuple[Mesh, ...], surfaces: tuple[Surface, ...]) -> None:
+        self._meshes, self._surfaces = meshes, surfaces
         self._pieces: dict[int, list[LabeledPiece]] = {}
         self._names: set[str] = set()
         self._models: dict[str, Sequence[Placed]] = {}
@@ -60,6 +61,32 @@ class ModelWriter:
         if mesh not in self._pieces:
             self._pieces[mesh] = self._split(mesh)
         return self._pieces[mesh]
+
+    def is_colored(self, piece: LabeledPiece) -> bool:
+        """Tells whether a piece has its vertices' colors, and so a material in the file."""
+        if self._meshes[piece.mesh].color is None or piece.surface < 0:
+            return False
+        surface = self._surfaces[piece.surface]
+        more = surface.maps, surface.reflectance, surface.emits, surface.transmits, surface.varies
+        return not any(more)
+
+    def loses_colors(self, piece: LabeledPiece) -> bool:
+        """Tells whether a piece has its vertices' colors in the stage, and not in the cfg."""
+        return self._meshes[piece.mesh].color is not None and not self.is_colored(piece)
+
+    def mean_color(self, pieces: Sequence[LabeledPiece]) -> NDArray[np.float64] | None:
+        """Returns the mean of pieces' colors, [3], by area; None where they have none."""
+        if all(self._meshes[piece.mesh].color is None for piece in pieces):
+            return None
+        total, area = np.zeros(3), 0.0
+        for piece in pieces:
+            mesh = self._meshes[piece.mesh]
+            areas = _areas(mesh.points.astype(np.float64), mesh.faces[piece.faces])
+            color = np.ones((len(mesh.faces), 3, 3)) if mesh.color is None else mesh.color
+            of_faces = color[piece.faces].astype(np.float64).mean(axis=1)
+            total += (areas[:, None] * of_faces).sum(axis=0)
+            area += float(areas.sum())
+        return total / area if area else None
 
     def add(self, name: str, content: Sequence[Placed]) -> str:
         """Makes a model of some pieces, and gives its path."""
@@ -91,6 +118,9 @@ class ModelWriter:
                 made.GetReferences().AddInternalReference(Sdf.Path(f"{_SHAPES}/{piece.name}"))
                 matrix = Gf.Matrix4d(np.vstack([place, (0.0, 0.0, 0.0, 1.0)]).T.tolist())
                 UsdGeom.Xformable(made).AddTransformOp().Set(matrix)
+                if self.is_colored(piece):
+                    look = self._look(stage, piece.surface)
+                    UsdShade.MaterialBindingAPI.Apply(made).Bind(look)
         stage.GetRootLayer().Save()
 
     def _split(self, index: int) -> list[LabeledPiece]:
@@ -132,6 +162,34 @@ class ModelWriter:
                 "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
             )
             primvar.Set(Vt.Vec2fArray.FromNumpy(uv))
+        if mesh.color is not None and self.is_colored(piece):
+            base = np.array(self._surfaces[piece.surface].base_color, np.float32)
+            colors = np.ascontiguousarray((mesh.color[piece.faces] * base).reshape(-1, 3))
+            shown = prim.CreateDisplayColorPrimvar(tokens.faceVarying)
+            shown.Set(Vt.Vec3fArray.FromNumpy(colors))
+
+    def _look(self, stage: Usd.Stage, number: int) -> UsdShade.Material:
+        """Writes the material of a surface whose color is displayColor."""
+        surface, path = self._surfaces[number], f"/_looks/look_{number}"
+        if stage.GetPrimAtPath(path):
+            return UsdShade.Material.Get(stage, path)
+        material = UsdShade.Material.Define(stage, path)
+        shader = UsdShade.Shader.Define(stage, f"{path}/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        output = shader.CreateOutput("surface", _TYPES.Token)
+        material.CreateSurfaceOutput().ConnectToSource(output)
+        root = min(surface.specular, 0.999) ** 0.5
+        for name, value in (
+            ("roughness", surface.roughness), ("metallic", surface.metallic),
+            ("ior", (1.0 + root) / (1.0 - root)),
+        ):  # fmt: skip
+            shader.CreateInput(name, _TYPES.Float).Set(value)
+        reader = UsdShade.Shader.Define(stage, f"{path}/color")
+        reader.CreateIdAttr("UsdPrimvarReader_float3")
+        reader.CreateInput("varname", _TYPES.String).Set("displayColor")
+        color = reader.CreateOutput("result", _TYPES.Float3)
+        shader.CreateInput("diffuseColor", _TYPES.Color3f).ConnectToSource(color)
+        return material
 
 
 def _crossed(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

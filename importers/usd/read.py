@@ -56,7 +56,13 @@ def _imported(
     if not (read.bounds < 1e300).all() or not (read.bounds > -1e300).all():
         raise StageError("its transforms and metersPerUnit leave the range of numbers")
     scene = Scene(
-        stage, read, StageFrame.of(stage), imported, keep, Labels(read), ModelWriter(read.meshes)
+        stage,
+        read,
+        StageFrame.of(stage),
+        imported,
+        keep,
+        Labels(read),
+        ModelWriter(read.meshes, read.surfaces),
     )
     report = imported.report
     unit, axis = UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)

@@ -135,7 +135,9 @@ def _mesh_ground(
             kind = (piece.surface, piece.labels)
             kinds.setdefault(kind, []).append((piece, matrix + moved))
     widest = max(kinds, key=lambda kind: sum(piece.area for piece, _ in kinds[kind]))
-    part = scene.models.add(f"{name_of(path)}_model", kinds.pop(widest))
+    ground = kinds.pop(widest)
+    widest_pieces = [piece for piece, _ in ground]
+    part = scene.models.add(f"{name_of(path)}_model", ground)
     scene.imported.cfg["terrain"].update(
         size_m=list(scene.extent_m),
         spacing_m=float(f"{min(scene.extent_m) / _SPACINGS:.4g}"),
@@ -160,7 +162,7 @@ def _mesh_ground(
         )
     fate = APPROXIMATED if notes else TRANSLATED
     scene.imported.report.add(fate, path, None, "terrain/relief/0", "; ".join(notes))
-    materials.of_ground(widest[0])
+    materials.of_ground(widest[0], scene.models.mean_color(widest_pieces))
     return scene.labels.choice(widest[1]), [one for kind in kinds.values() for one in kind]
 
 
@@ -279,13 +281,17 @@ def _write(
         "models": [
             {"file": _file(scene), "part": scene.models.add(f"{name}_model", m)} for m in models
         ],
-        "material": materials.name(first.surface),
     }
+    # Colors of vertices are shown by the file's own materials alone.
+    colored = {piece.name for piece in pieces if scene.models.is_colored(piece)}
+    if not colored:
+        entry["material"] = materials.name(first.surface)
     known[name] = entry
     parts: dict[str, dict[str, Any]] = {}
     for piece in pieces:
         rule: dict[str, Any] = {}
-        if piece.surface != first.surface:
+        own_rule = bool(colored) and piece.name not in colored
+        if own_rule or (not colored and piece.surface != first.surface):
             rule["material"] = materials.name(piece.surface)
         others = [0 if same else n for n, same in zip(piece.labels, labels, strict=True)]
         if any(others):
@@ -299,6 +305,8 @@ def _write(
     if not instances and scene.labels.authored:
         entry["instances"] = False
     notes = sorted({note for thing, _ in objects for note in thing.notes})
+    if any(map(scene.models.loses_colors, pieces)):
+        notes.append("colors of vertices that multiply a picture are left out")
     exact = all("hidden by" in note for note in notes) and not evened
     if evened:
         notes.append(f"more than {_MOST_MODELS} shapes: uneven scales are evened out")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,15 @@ from scenec.importers.output import Imported
 from scenec.importers.report import APPROXIMATED, TRANSLATED
 from scenec.importers.scene import soil, unused
 from scenec.importers.usd.scene import name_of
-from scenec.schemas import maps
+from scenec.schemas import maps, udim
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.exr import write_rgb
 
 #: Of ``Surface``, what has a range in a cfg, and its key there.
 _SHARES = ("roughness", "specular", "metallic", "diffuse_transmission")
 _PLAIN = Reading()
+#: What a picture holds where UDIM has no tile: black, dull, even.
+_NO_TILE = {"normal": (0.5, 0.5, 1.0), "roughness": (1.0, 1.0, 1.0)}
 
 
 class Materials:
@@ -46,12 +49,19 @@ class Materials:
             known[name], notes = self._numbers(found)
             if found.maps is not None:
                 known[name]["maps"] = self._maps(name, found.maps, known[name])
+                if found.cutout and found.cutout.opacity_wrap != ("repeat", "repeat"):
+                    notes.append("its mask repeats beyond the picture")
             self._names[surface] = name
             self._report(found, name, notes)
         return self._names[surface]
 
-    def of_ground(self, surface: int) -> None:
-        """Makes the material of the ground, which has no texture coordinates."""
+    def of_ground(self, surface: int, colors: NDArray[np.float64] | None = None) -> None:
+        """Makes the material of the ground, which has no texture coordinates.
+
+        Args:
+            surface: Index of its surface; -1: the default one.
+            colors: The mean of its vertices' colors, [3], where they vary.
+        """
         found = self._surface(surface)
         to = "materials/ground"
         if found == Surface("", DEFAULT_SURFACE.base_color, 0.0, 1.0, 0.0):
@@ -59,6 +69,12 @@ class Materials:
             self._imported.report.added(to, "soil: the ground has neither material nor color")
             return
         made, notes = self._numbers(found)
+        if colors is not None:
+            factors = zip(made["base_color"], colors.tolist(), strict=True)
+            made["base_color"] = [tidy(min(a * b, 1.0)) for a, b in factors]
+            notes.append("the mean of its vertices' colors")
+        if found.cutout:
+            notes.append("its mask is left out")
         if found.maps is not None:
             made |= self._means(found.maps, made)
             notes.append("the means of its pictures: ground has no texture coordinates")
@@ -108,7 +124,7 @@ class Materials:
         readings = dict(described.readings)
         for kind in maps.MAP_CHANNELS:
             file, reading = getattr(described, kind), readings.get(kind, _PLAIN)
-            if file is None or kind in ("height", "opacity"):
+            if file is None or kind == "height":
                 continue
             of_color = kind in maps.COLORS and reading == Reading(scale=reading.scale)
             most = 1.0 if kind == "base_color" else np.inf
@@ -122,6 +138,8 @@ class Materials:
             else:
                 write = _writer(file, kind, reading)
                 entry[kind] = self._imported.make(f"{name}_{kind}.exr", write)
+        if "opacity" in entry:
+            entry["opacity_threshold"] = tidy(described.opacity_threshold)
         return entry
 
     def _means(self, described: Maps, numbers: dict[str, Any]) -> dict[str, Any]:
@@ -150,8 +168,17 @@ def _values(file: Path, kind: str, reading: Reading) -> NDArray[np.float32]:
     Raises:
         ScenecError: It cannot be read.
     """
+    if reading.tiles != (1, 1):
+        one = replace(reading, tiles=(1, 1))
+        if not udim.is_tiled(file):
+            return np.tile(_values(file, kind, one), (*reading.tiles[::-1], 1))
+        tiles = {place: _values(tile, kind, one) for place, tile in udim.tiles_of(file).items()}
+        try:
+            return udim.joined(tiles, reading.tiles, _NO_TILE.get(kind, (0.0, 0.0, 0.0)))
+        except ValueError as error:
+            raise ScenecError(f"{file}: {error}") from error
     try:
-        pixels = maps.read_pixels(file)
+        pixels = maps.read_pixels(file, alpha=reading.channel == "a")
     except ValueError as error:
         raise ScenecError(f"{file}: {error}") from error
     values = maps.meant(pixels, kind, reading.srgb, reading.scale, reading.bias, reading.channel)

@@ -1,4 +1,4 @@
-"""Makes the tables of docs/instances.md: rocks found by a network, and followed.
+"""Makes the tables of docs/experiments.md: rocks found by a network, and followed.
 
 python lab/experiments/instances.py [--fast] [--full] [--only A,B] [-o DIR] [--work DIR]
 
@@ -13,7 +13,6 @@ the network's answers, and goes on where an earlier run left off. Needs the extr
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -21,7 +20,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from scenec.datasets.colors import paint_instances
-from scenec.datasets.evaluate.breakdown import ATTRIBUTES
 from scenec.datasets.evaluate.coco_files import read_detections, read_truth
 from scenec.datasets.evaluate.evaluation import Evaluation
 from scenec.datasets.evaluate.instances import evaluate_instances
@@ -32,10 +30,8 @@ from scenec.lab.experiments.renders import (
     Frames,
     Renders,
     chosen,
-    left_out,
     of_page,
     on_all_cores,
-    said,
 )
 from scenec.lab.experiments.terrains import FULL, SEED, cfg
 from scenec.lab.experiments.torch_modules import needing_torch
@@ -47,7 +43,6 @@ _BACKEND = "mitsuba"
 _SEEDS = (1, 2, 3)
 #: COCO's numbers of masks and boxes.
 _MEASURES = ("ap", "ap50", "ap75", "ar_100")
-_BINS = ("area", "distance", "occlusion")
 
 
 class Experiment:
@@ -106,8 +101,7 @@ class Experiment:
 
     def _judge(self, seed: int) -> Evaluation:
         found = read_detections(self.answers(seed), self.truth)
-        bins = {name: ATTRIBUTES[name] for name in _BINS}
-        return evaluate_instances(self.answers(seed), found, self.dataset, self.truth, bins)
+        return evaluate_instances(self.answers(seed), found, self.dataset, self.truth, {})
 
 
 def _spread(values: Iterable[float | None], factor: float = 100.0) -> str | None:
@@ -122,21 +116,20 @@ def _spread(values: Iterable[float | None], factor: float = 100.0) -> str | None
 def found(page: Page) -> None:
     """Finds rocks in single pictures."""
     experiment = Experiment(page)
-    page.rows(
-        (title, *(_spread(e.measures[f"{kind}_{m}"] for e in experiment.judged) for m in _MEASURES))
-        for title, kind in (("masks", "segm"), ("boxes", "bbox"))
+    page.block(
+        "found",
+        ("", "AP", "AP at IoU 0.5", "AP at IoU 0.75", "recall, at most 100"),
+        (
+            (
+                what,
+                *(_spread(e.measures[f"{kind}_{m}"] for e in experiment.judged) for m in _MEASURES),
+            )
+            for what, kind in (("masks", "segm"), ("boxes", "bbox"))
+        ),
     )
-    for name in _BINS:
-        tables = [t for e in experiment.judged for t in e.tables if t.name == name]
-        page.rows(
-            (row[0][0], _spread(r[1] for r in row), _spread(r[3] for r in row), int(row[0][4] or 0))
-            for row in zip(*(one.rows for one in tables), strict=True)
-        )
     recipe, truth = experiment.recipe, experiment.truth
-    page.value("made", f"{experiment.made:.0f}")
-    page.value("trained", f"{experiment.trained:.0f}")
-    page.value("steps", f"{recipe.steps} steps of {recipe.pictures} pictures")
-    page.value("seeds", ", ".join(map(str, experiment.seeds)))
+    print(f"{experiment.made:.0f} CPU s of pictures, {experiment.trained:.0f} of training")
+    page.value("rcnn_steps", f"{recipe.steps} steps of {recipe.pictures} pictures")
     page.value("rocks", str(sum(not one["iscrowd"] for one in truth["annotations"])))
     page.value("pictures", str(len(truth["images"])))
     _drawn(page, experiment)
@@ -180,7 +173,6 @@ def _drawn(page: Page, experiment: Experiment) -> None:
 
 def followed(page: Page) -> None:
     """Follows rocks through a sequence."""
-    start = _cpu_s()
     frames = 6 if page.fast else 24
     out = _sequence(of_page(page), frames)
     dataset = out / "datasets" / "coco"
@@ -193,14 +185,17 @@ def followed(page: Page) -> None:
         "numbered anew in each picture": numbered_anew(exported),
     }
     found = {name: scores(truth, exported, ids) for name, ids in trackers.items()}
-    page.rows(
-        (name, *(f"{one[c]:.0f}" if c == "switches" else f"{one[c]:.3f}" for c in one))
-        for name, one in found.items()
+    page.block(
+        "tracked",
+        ("tracker", *next(iter(found.values()))),
+        (
+            (name, *(f"{one[c]:.0f}" if c == "switches" else f"{one[c]:.3f}" for c in one))
+            for name, one in found.items()
+        ),
     )
     rocks = len(np.unique(np.concatenate([one.ids for one in truth])))
     seen = sum(len(one.ids) for one in truth)
     page.value("sequence", f"{frames} pictures, {rocks} rocks, seen {seen} times in all")
-    page.value("spent", f"{_cpu_s() - start:.0f}")
 
 
 def _sequence(renders: Renders, frames: int) -> Path:
@@ -253,16 +248,7 @@ def _exported(dataset: Path) -> list[Shown]:
     return found
 
 
-def _cpu_s() -> float:
-    """Of this process and those that it waited for."""
-    return sum(os.times()[:4])
-
-
-#: Name -> what it makes, how many tables it fills, and the packages whose versions matter.
-PARTS = {
-    "detection": (found, 4, ("torch", "torchvision", "pycocotools", "mitsuba")),
-    "tracking": (followed, 1, ("trackeval",)),
-}
+PARTS = {"detection": found, "tracking": followed}
 
 
 def main(page: Page) -> None:
@@ -271,11 +257,8 @@ def main(page: Page) -> None:
     Raises:
         OutputError: There is no such part, or a package is not installed.
     """
-    only = chosen(page, PARTS)
-    said(page)
-    parts = [part if name in only else left_out(n) for name, (part, n, _) in PARTS.items()]
-    page.refresh([package for name in only for package in PARTS[name][2]], parts)
+    page.refresh((), [PARTS[name] for name in chosen(page, PARTS)])
 
 
 if __name__ == "__main__":
-    run(main, page="instances", full=False, only=tuple(PARTS), work="")
+    run(main, page="experiments", full=False, only=tuple(PARTS), work="")

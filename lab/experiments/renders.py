@@ -144,19 +144,6 @@ def on_all_cores(calls: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
             yield job.result()
 
 
-def left_out(tables: int) -> Callable[[Page], object]:
-    """Makes a part of a page that stays as it is."""
-    return lambda page: [page.rows(None) for _ in range(tables)]
-
-
-def said(page: Page) -> None:
-    """Puts the form's numbers into a page."""
-    renders = of_page(page)
-    page.value("size", "{} × {}".format(*renders.resolution))
-    for name in ("batches", "samples", "held"):
-        page.value(name, str(getattr(renders, name)))
-
-
 def file_name(setting: str) -> str:
     """Of a setting's folder."""
     return setting.replace(" ", "_").replace(",", "")

@@ -1,4 +1,4 @@
-"""Makes the tables of docs/segmentation.md: what made pictures teach a network.
+"""Makes the tables of docs/experiments.md: what made pictures teach a network.
 
 python lab/experiments/segmentation.py [--fast] [--full] [--only A,B] [-o DIR] [--work DIR]
 
@@ -12,7 +12,7 @@ and goes on where an earlier run left off. Needs the extras `mitsuba`, `cycles`,
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,10 +30,8 @@ from scenec.lab.experiments.renders import (
     Frames,
     chosen,
     file_name,
-    left_out,
     of_page,
     on_all_cores,
-    said,
 )
 from scenec.lab.experiments.terrains import CLASSES, FULL, LEVEL, SETTINGS
 from scenec.lab.experiments.torch_modules import needing_torch
@@ -155,10 +153,6 @@ def _said(ious: Numbers) -> str:
     return f"{mean:.1f} ± {spread:.1f}" if len(ious) > 1 else f"{mean:.1f}"
 
 
-def _by_class(ious: Numbers) -> list[str]:
-    return [f"{100.0 * value:.1f}" for value in np.nanmean(ious, axis=0)]
-
-
 def transfer(page: Page, experiment: Experiment) -> None:
     """Tests networks of one renderer on another."""
     found = {
@@ -167,8 +161,11 @@ def transfer(page: Page, experiment: Experiment) -> None:
         for asked in _BACKENDS
     }
     costs = {name: experiment.renders.cost(FULL, name) for name in _BACKENDS}
-    page.rows((a, *(_said(found[a, b]) for b in _BACKENDS), costs[a]) for a in _BACKENDS)
-    page.rows((*names, *_by_class(ious)) for names, ious in found.items())
+    page.block(
+        "transfer",
+        ("trained on", *(f"tested on {name}" for name in _BACKENDS), "CPU s a picture"),
+        ((a, *(_said(found[a, b]) for b in _BACKENDS), costs[a]) for a in _BACKENDS),
+    )
     means = {key: _mean(ious)[0] for key, ious in found.items()}
     gaps = {
         asked: means[asked, asked]
@@ -222,23 +219,17 @@ def ablations(page: Page, experiment: Experiment) -> None:
     found = {name: experiment.ious(name, _OWN, _OWN) for name in SETTINGS}
     costs = {name: experiment.renders.cost(name, _OWN) for name in SETTINGS}
     whole = _mean(found[FULL])[0]
-    page.rows(
-        (name, costs[name], _said(ious), f"{_mean(ious)[0] - whole:+.1f}", *_by_class(ious))
-        for name, ious in found.items()
+    page.block(
+        "ablations",
+        ("learned from", "CPU s a picture", "mean IoU, %", "points"),
+        (
+            (name, costs[name], _said(ious), f"{_mean(ious)[0] - whole:+.1f}")
+            for name, ious in found.items()
+        ),
     )
-    figure, axes = plt.subplots(figsize=(8, 4.4), constrained_layout=True)
-    for name, ious in found.items():
-        axes.errorbar(costs[name], *_mean(ious), fmt="o", capsize=3, label=name)
-    axes.set_xlabel("CPU s a picture")
-    axes.set_ylabel("mean IoU on full pictures, %")
-    axes.set_xlim(left=0)
-    axes.grid(visible=True, linewidth=0.3, alpha=0.6)
-    axes.legend(fontsize=8)
-    page.save(figure, "ablations")
 
 
-#: Name -> what it makes, and how many tables it fills.
-_PARTS = {"transfer": (transfer, 2), "ablations": (ablations, 1)}
+_PARTS = {"transfer": transfer, "ablations": ablations}
 
 
 def main(page: Page) -> None:
@@ -247,21 +238,14 @@ def main(page: Page) -> None:
     for one in experiment.pictures:
         experiment.renders.cost(*one)
     experiment.train_all(experiment.trainings)
-    said(page)
     made, trained = experiment.seconds()
-    page.value("made", f"{made:.0f}")
-    page.value("trained", f"{trained:.0f}")
+    print(f"{made:.0f} CPU s of pictures, {trained:.0f} of training")
     recipe, device = experiment.recipe, experiment.networks.device_name()
     page.value("backbone", recipe.backbone)
     page.value("steps", f"{recipe.steps} steps of {recipe.pictures} pictures, AdamW, {device}")
-    seeds = ", ".join(map(str, experiment.seeds))
-    page.value("runs", f"{len(experiment.seeds)} times, by seeds {seeds}")
-    parts: list[Callable[[Page], object]] = []
-    for name, (part, n) in _PARTS.items():
-        own = partial(part, experiment=experiment)
-        parts.append(own if name in experiment.parts else left_out(n))
-    page.refresh(("torch", "torchvision", "mitsuba", "bpy", "pyrender-maintained"), parts)
+    parts = [partial(_PARTS[name], experiment=experiment) for name in experiment.parts]
+    page.refresh((), parts)
 
 
 if __name__ == "__main__":
-    run(main, page="segmentation", full=False, only=tuple(_PARTS), work="")
+    run(main, page="experiments", full=False, only=tuple(_PARTS), work="")

@@ -1,4 +1,4 @@
-"""Stones: one rock of each family that the compiler knows (docs/rocks.md), in meters."""
+"""Stones: one rock of each family that the compiler knows (docs/objects.md), in meters."""
 
 from __future__ import annotations
 

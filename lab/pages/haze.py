@@ -1,4 +1,4 @@
-"""Makes the tables of docs/haze.md: the error and cost of haze.
+"""Measures the error and cost of haze for docs/light.md.
 
     python lab/pages/haze.py [--fast] [-o FOLDER]
 
@@ -54,7 +54,7 @@ def volumes(page: Page) -> None:
     from scenec.backends.mitsuba.variant import load_mitsuba
 
     mi = load_mitsuba()
-    rows: list[list[str | float]] = []
+    means, worst_of_all, noisiest = [], 0.0, 0.0
     for depth, g, albedo, sun, reflected, eye_m in VOLUMES[:2] if page.fast else VOLUMES:
         haze = Haze(np.full(3, depth / LAYER_M), LAYER_M, asymmetry=g, albedo=np.full(3, albedo))
         of, ground = air(haze, sun, reflected)
@@ -74,12 +74,11 @@ def volumes(page: Page) -> None:
             theirs, off = rendered(mi, haze, (float(sun), reflected), (eye_m, way), 64)
             errors.append(ours / theirs - 1.0)
             noise = max(noise, off / theirs)
-        worst = max(errors, key=abs)
-        of_all = (100.0 * value for value in (np.mean(errors), np.std(errors), worst, noise))
-        cells = zip(of_all, ("+.0f", ".0f", "+.0f", ".1f"), strict=True)
-        case = [f"{depth:g}", f"{g:g}", f"{albedo:g}", f"{sun}°", f"{reflected:g}", f"{eye_m:g} m"]
-        rows.append([*case, *(f"{value:{digits}} %" for value, digits in cells)])
-    page.rows(rows)
+        means.append(100.0 * float(np.mean(errors)))
+        worst_of_all = max(worst_of_all, 100.0 * max(map(abs, errors)))
+        noisiest = max(noisiest, 100.0 * noise)
+    said = f"{min(means):+.0f} to {max(means):+.0f} %; the worst ray {worst_of_all:.0f} %"
+    page.value("haze_mean", f"{said}, where volpath's standard error is up to {noisiest:.0f} %")
 
 
 def rendered(
@@ -135,11 +134,12 @@ def rendered(
 def cost(page: Page) -> None:
     """CPU seconds of a frame's haze but for rays at edges."""
     rng = np.random.default_rng(0)
-    rows: list[list[str | float]] = []
-    for name, pixels in (("320 × 240", 76_800), ("1280 × 720", 921_600)):
+    told = []
+    for pixels in (76_800, 921_600):
+        spent = []
         ways = rng.normal(size=(pixels, 3))
         origins, t = np.tile([0.0, 0.0, 2.0], (pixels, 1)), rng.uniform(1.0, 500.0, (pixels, 1))
-        for what, color in (("gray", (1.0, 1.0, 1.0)), ("colored", (1.0, 1.2, 1.5))):
+        for color in ((1.0, 1.0, 1.0), (1.0, 1.2, 1.5)):
             haze = Haze(0.01 * np.array(color))
             made, _ = air(haze, 30.0, GROUND)
             glow = ambient(made, ways)
@@ -150,14 +150,15 @@ def cost(page: Page) -> None:
                 lambda m=made, o=origins, w=ways, d=t, s=glow: arrive(m, o, w[:, None], d, s),
             ]
             seconds = [min(times(work, 5).cpu) for work in works]
-            rows.append([name, what, *(f"{one:.3f}" for one in seconds)])
-    page.rows(rows)
+            spent.append(sum(seconds))
+        told.append(f"{spent[0]:.2f} CPU s (colored {spent[1]:.2f})")
+    page.value("haze_cost", "; ".join(told))
 
 
 def main(page: Page) -> None:
     """Refreshes the page."""
-    page.refresh(("numpy", "numba", "mitsuba"), (volumes, cost))
+    page.refresh((), (volumes, cost))
 
 
 if __name__ == "__main__":
-    run(main, page="haze")
+    run(main, page="light")

@@ -1,16 +1,14 @@
-"""Renders six lights in every backend, side by side, and the tables of docs/lights.md.
+"""Renders the lights that docs/light.md shows, in every backend side by side.
 
     python lab/pages/lights.py [--only NAME] [--spp 16] [--keep FOLDER] [-o FOLDER] [--fast]
 
 Each light of lights.json falls on one of the cfgs of configs/, seen from where the file says:
 ``place`` is the camera's x_m, y_m, height_m, ``look`` its target's distance_m, bearing_deg,
 height_m, ``ev`` stops more than the metered exposure. Every frame is rendered by all three backends
-from one stage; the table holds mean radiance, FLIP and seconds. Needs all backends, bpy's HDRIs and
-the extra "flip"; takes ten minutes or so on two cores. With --keep, compiled stages and frames stay
-in FOLDER, and frames that are there are not made again.
+from one stage. Needs all backends and bpy's HDRIs; takes ten minutes or so on two cores. With
+--keep, compiled stages and frames stay in FOLDER, and frames that are there are not made again.
 
-Pictures of haze, which docs/light.md shows, are made where --only names them (fog, dust), by
-Mitsuba alone: they have ``bearings`` of views side by side.
+Those with ``bearings`` (fog, dust) are views side by side, by Mitsuba alone.
 """
 
 from __future__ import annotations
@@ -20,17 +18,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from scenec.backends.check.radiance import flip
 from scenec.lab.benchmarks.cfgs import looking
 from scenec.lab.pictures import beside_assets, frames, photograph, save, sheet
 from scenec.lab.runner import CONFIGS, Page, names, run
-from scenec.schemas.frames import Frame
 
 BACKENDS = ("cycles", "mitsuba", "pyrender")
-#: What FLIP is taken against; Mitsuba's error is measured against Cycles too.
-REFERENCE = "cycles"
 SIZE, HAZY_SIZE, HAZY_SPP = (384, 256), (576, 324), 16
 CASES: dict[str, dict[str, Any]] = json.loads(
     Path(__file__).with_name("lights.json").read_text(encoding="utf-8")
@@ -43,7 +35,7 @@ def make_cfg(name: str, folder: Path) -> Path:
     cfg = json.loads((CONFIGS / f"{case['cfg']}.json").read_text())
     labels = (cfg["light"].get("sky") or {}).get("labels", {})
     cfg["light"] = case["light"] | {"sky": case["light"]["sky"] | {"labels": labels}}
-    cfg |= {"batches": 1, "samples": 1, "outputs": ["rgb", "depth"]}
+    cfg |= {"batches": 1, "samples": 1, "outputs": ["rgb"]}
     distance, toward, target = case["look"]
     sensor: dict[str, Any] = {"resolution": list(HAZY_SIZE if "bearings" in case else SIZE)}
     if "ev" in case:
@@ -60,30 +52,13 @@ def make_cfg(name: str, folder: Path) -> Path:
     return path
 
 
-def row(title: str, found: dict[str, Frame]) -> list[str]:
-    """A line of the table."""
-    means, flips, seconds = [], [], []
-    reference = found[REFERENCE].passes["rgb"]
-    on = np.isfinite(found[REFERENCE].passes["depth"])
-    for backend, frame in found.items():
-        light = frame.passes["rgb"][on].astype(np.float64)
-        means.append(" ".join(f"{value:.3g}" for value in light.mean(axis=0)))
-        if backend != REFERENCE:
-            # The renderer's own noise is in it.
-            values = flip(found[REFERENCE], frame)
-            flips.append("?" if values is None else f"{float(values.mean()):.3f}")
-            flips[-1] += f" ({100.0 * (light.mean() / float(reference[on].mean()) - 1.0):+.1f} %)"
-        seconds.append(f"{(frame.sidecar.seconds or {})['radiance']:.1f}")
-    return [title, *means, *flips, *seconds]
-
-
 def main(page: Page) -> None:
-    """Renders, and refreshes the page where no light was chosen."""
-    options, rows = page.options, []
+    """Renders all lights, or the chosen ones."""
+    options = page.options
     folder = options.keep or page.scratch
     spp = 2 if page.fast else options.spp
     for name, case in CASES.items():
-        if name not in options.only if options.only else "bearings" in case:
+        if options.only and name not in options.only:
             continue
         print(f"{name}: compiling and rendering", file=sys.stderr, flush=True)
         cfg = make_cfg(name, beside_assets(folder))
@@ -94,18 +69,12 @@ def main(page: Page) -> None:
             tiles = [("", by_camera[f"view{bearing:g}_eye"]) for bearing in case["bearings"]]
             save(sheet([tiles], HAZY_SIZE[0]), page.picture(name))
             continue
-        found = {backend: frames(cfg, folder / name, backend, spp=spp, passes=("rgb", "depth"))[0]
+        found = {backend: frames(cfg, folder / name, backend, spp=spp, passes=("rgb",))[0]
                  for backend in BACKENDS}  # fmt: skip
-        title = name.replace("_", ", ", 1).replace("_", " ").capitalize()
-        rows.append(row(case.get("title", title), found))
-        exposure = found[REFERENCE].sidecar.exposure_ev
+        exposure = found[BACKENDS[0]].sidecar.exposure_ev
         tiles = [(backend, photograph(frame, exposure)) for backend, frame in found.items()]
         save(sheet([tiles], SIZE[0]), page.picture(name))
-    header = ["light", *(f"radiance, {b}" for b in BACKENDS), "FLIP, mitsuba", "FLIP, pyrender"]
-    page.table([*header, *(f"seconds, {b}" for b in BACKENDS)], rows)
-    if not options.only:
-        page.refresh(("mitsuba", "bpy", "pyrender-maintained"), [lambda page: page.rows(rows)])
 
 
 if __name__ == "__main__":
-    run(main, page="lights", only=names, spp=16, keep=Path)
+    run(main, page="light", only=names, spp=16, keep=Path)

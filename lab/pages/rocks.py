@@ -1,26 +1,19 @@
-"""Makes what docs/rocks.md shows: families of rocks, their coatings and levels of detail.
+"""Draws the rocks that docs/objects.md shows: their families and coatings.
 
     python lab/pages/rocks.py [--fast] [-o FOLDER]
 
-Needs the extras "mitsuba" and "demo". Pictures take some minutes on two cores; tables are facts of
-the code.
+Needs the extra "mitsuba"; takes some minutes on two cores.
 """
 
 from __future__ import annotations
 
-import json
 import math
-from functools import partial
 from typing import Any
 
-import numpy as np
 from PIL import Image
 
-from scenec.compiler.cfg.load import load
-from scenec.compiler.draw import draw
-from scenec.compiler.objects.rocks import build_chains
 from scenec.lab.benchmarks.cfgs import looking, plain
-from scenec.lab.pictures import frames, photograph, save, sheet
+from scenec.lab.pictures import frames, photograph, save
 from scenec.lab.runner import Page, run
 
 #: Surfaces of the stones on the sheet of each family; None for a plain material.
@@ -34,7 +27,6 @@ FAMILIES: dict[str, dict[str, Any] | None] = {
     "bedded": {"type": "sandstone", "bedding": 0.2},
     "breccia": None,
 }
-_SIZE = (360, 240)
 #: Stones of a contact sheet, the width of each one's place, and the height of all, in pixels.
 _STONES = 4
 _STONE_PX = 400
@@ -50,31 +42,6 @@ COATINGS: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
         {"base_color": [0.035, 0.03, 0.027], "specular": 0.03, "roughness": 0.45},
     ),
 )
-
-
-def cfg(family: str, far: bool, lod_px: float, subdivisions: int = 5) -> dict[str, Any]:
-    """A plain with one class of rocks, and one camera."""
-    rocks: dict[str, Any] = {
-        "type": "rocks", "family": family, "material": "rock", "subdivisions": subdivisions,
-        "prototypes": 8, "lod_px": lod_px, "orientation": "normal",
-        "embed": {"type": "uniform", "min": 0.05, "max": 0.25},
-    }  # fmt: skip
-    if far:
-        rocks |= {"count": 6000, "size_m": {"type": "log_uniform", "min": 0.1, "max": 1.6},
-                  "density": {"type": "noise", "scale_m": 12, "contrast": 2}}  # fmt: skip
-        rig = looking((0, -50, 3), 20, resolution=list(_SIZE), fov_deg=55)
-    else:
-        rocks |= {"count": 32, "size_m": {"type": "log_uniform", "min": 0.15, "max": 0.55}}
-        rig = looking((0, -1.19, 0.6), 1.1, 0.05, resolution=list(_SIZE), fov_deg=48)
-    extent = 120 if far else 2.4
-    light = {"sun": {"elevation_deg": 22, "azimuth_deg": 250, "irradiance": 900},
-             "sky": {"type": "clear", "irradiance": 120}}  # fmt: skip
-    made = plain(extent, extent / 240, {"base_color": [0.3, 0.24, 0.18], "variation": 0.2}, rig,
-                 objects={"rocks": rocks}, light=light)  # fmt: skip
-    made["materials"]["rock"] = {"base_color": [0.2, 0.18, 0.16], "variation": 0.45}
-    hills = {"amplitude_m": 0.8, "scale_m": 25} if far else {"amplitude_m": 0.05, "scale_m": 1.5}
-    made["terrain"]["relief"].append({"type": "multifractal", "octaves": 8} | hills)
-    return made
 
 
 def sheet_cfg(family: str, subdivisions: int) -> dict[str, Any]:
@@ -126,44 +93,14 @@ def coatings(page: Page) -> None:
             stone["coatings"] = [{"material": name, **keys}]
     content["light"]["sun"]["elevation_deg"] = 35
     save(shot(page, content, "coatings", 32), page.picture("coatings"))
-    page.rows([name, f"`{json.dumps(keys)}`" if material else ""]
-              for name, keys, material in COATINGS)  # fmt: skip
-
-
-def levels(page: Page) -> None:
-    """Tables errors of the levels, axis ratios, seconds, and what views come to."""
-    rows, speed = [], []
-    for family in FAMILIES:
-        (plan,) = draw(load(page.cfg(cfg(family, False, 0.5, 4))), 4, 0).objects
-        chains = build_chains(plan.source.shapes)
-        errors = np.array([[rock.error for rock in chain] for chain in chains]).mean(axis=0)
-        extents = np.array([np.ptp(chain[0].points, axis=0) for chain in chains])
-        ratios = (extents / extents.max(axis=1)[:, None]).mean(axis=0)
-        rows.append([family, *(f"{100 * e:.1f}" for e in errors[1:]),
-                     f"{ratios[1]:.2f}", f"{ratios[2]:.2f}"])  # fmt: skip
-        speed.append(f"{family} {page.timed(partial(build_chains, plan.source.shapes)):.2f}")
-    page.rows(rows)
-    page.value("speed", ", ".join(speed))
-    tiles, told = [], []
-    views = (("near", False, 0.5), ("near, coarse", False, 10.0), ("far", True, 0.5))
-    for name, far, lod_px in views:
-        content = cfg("angular", far, lod_px, 3 if page.fast else 5)
-        tiles.append(("", shot(page, content, name, 48)))
-        report = (page.scratch / name / "batch_0000" / "report.json").read_text()
-        facts = json.loads(report)["objects"]["rocks"]
-        told.append([
-            name, f"{facts['count']:,}", f"{facts['triangles_finest']:,}",
-            f"{facts['triangles']:,}", f"{lod_px:g}", f"{facts['lod_error_max_px']:.2f}",
-        ])  # fmt: skip
-    save(sheet([tiles], _SIZE[0]), page.picture("levels"))
-    page.rows(told)
 
 
 def main(page: Page) -> None:
-    """Refreshes the page and its pictures."""
-    parts = [*(partial(family_part, family=family) for family in FAMILIES), coatings, levels]
-    page.refresh(("scenec", "numpy", "numba", "mitsuba"), parts)
+    """Draws all pictures."""
+    for family in FAMILIES:
+        family_part(page, family)
+    coatings(page)
 
 
 if __name__ == "__main__":
-    run(main, page="rocks")
+    run(main, page="objects")

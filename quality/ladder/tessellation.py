@@ -142,7 +142,9 @@ def _rung(base: Base, tolerance_px: float, used: bool, truth: Truth, pixels: Flo
             "worst_normal_m": worst(normal),
             "99_9_percent_px": float(order[int(0.999 * (len(order) - 1))]) if len(order) else 0.0,
             **_silhouettes(base, truth, mesh_heights),
-            "found_px": max(mesh.height_error_max_px, finer.found_px if finer else 0.0),
+            "found_px": max(
+                mesh.height_error_max_px, finer.surface_error_found_px if finer else 0.0
+            ),
             "found_m": max(mesh.height_error_max_m, finer.surface_error_found_m if finer else 0.0),
             "tolerance_reached_px": mesh.tolerance_reached_px,
             "budget_bound": mesh.budget_bound,

@@ -43,11 +43,3 @@ def test_every_public_name_has_a_home_and_a_type():
 def test_what_there_is_not_is_said():
     with pytest.raises(AttributeError, match="'scenec' has no attribute 'rendre'"):
         _ = scenec.rendre
-
-
-def test_the_earlier_name_is_deprecated_and_shows_the_same():
-    sys.modules.pop("scenec.cli.notebook", None)
-    with pytest.warns(DeprecationWarning, match="scenec.cli.notebook is scenec now"):
-        from scenec.cli import notebook
-    earlier = (notebook.Output, notebook.Stage, notebook.Frame)
-    assert earlier == (scenec.OutputFolder, scenec.StageView, scenec.FrameView)

@@ -119,8 +119,8 @@ def test_frames_give_arrays_and_show_every_pass(output):
     # The sheet of two rows.
     (sheet,) = pictures_in(output._repr_html_())
     assert sheet.width > 4 * 400
-    with pytest.raises(KeyError):
-        _ = frames[0]["flow"]
+    with pytest.raises(KeyError, match='has no pass "dept"; did you mean "depth"'):
+        _ = frames[0]["dept"]
 
 
 def test_faults_are_errors_of_the_library(tmp_path):

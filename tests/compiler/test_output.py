@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 from killed import contents, killed_at_each_call
 
-from scenec.backends.check.files import check_files
 from scenec.compiler.build import BuildLog, build
 from scenec.compiler.cfg.load import Spec, load
 from scenec.compiler.compile import compile_cfg
@@ -240,24 +239,6 @@ def test_files_that_the_manifest_does_not_list_are_kept_and_named(tmp_path):
     compile_cfg(cfg, seed=2, out=out, replace=True)
     for name in ("batch_0000/notes.txt", "batch_0000/textures/mine.png", "notes.txt"):
         assert (out / name).read_text() == "mine"
-
-
-def test_what_an_older_version_left_amid_a_replacement_is_named_and_kept(tmp_path):
-    cfg = write_cfg(tmp_path, small_cfg(outputs=["depth"]))
-    out = tmp_path / "out"
-    compile_cfg(cfg, seed=1, out=out)
-    left = ".batch_0000.0123abcd"
-    write(out, {f"{left}/frames/mitsuba/a/00000{i}.json": "{}" for i in range(3)})
-    write(out, {".batch_0000.mine/notes.txt": "mine"})
-    words = (
-        f"{out}/{left}: batch_0000 as an interrupted compilation of scenec before 0.10 left it, "
-    )
-    words += "with 3 frames and 0 scans"
-    (line,) = compile_cfg(cfg, seed=1, out=out).strays
-    assert line.startswith(words)
-    (finding,) = check_files(out, read_manifest(out))
-    assert (finding.severity, finding.message) == ("warning", line)
-    assert len(list((out / left).rglob("*.json"))) == 3
 
 
 def test_a_foreign_file_in_the_place_of_one_of_ours_is_not_overwritten(output):

@@ -9,18 +9,24 @@ import pytest
 from blocks import ROOT, blocks, run_all, sections
 
 TUTORIAL, RECIPES = "docs/tutorial.md", "docs/recipes.md"
-OTHERS = ("docs/writing.md", "docs/python.md", "docs/concepts.md", "docs/commands.md")
+OTHERS = (
+    "docs/light.md",
+    "docs/objects.md",
+    "docs/writing.md",
+    "docs/python.md",
+    "docs/evaluate.md",
+    "docs/commands.md",
+)
 PAGES = ("README.md", TUTORIAL, RECIPES, *OTHERS)
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 FIRST_OUT = "out/first"
-SWEEP = "scenec sweep mine.jsonc --set light.sun.elevation_deg=10,30,60"
 ENVIRONMENT = "it makes the environment that the tests run in"
 #: Every block of these pages that is not run, by what it begins with, and why.
 NOT_RUN = {
     "make demo": ENVIRONMENT,
     "git clone YOUR-COPY-OF-SCENEC scenec && cd scenec": ENVIRONMENT,
-    f"{SWEEP} --set terrain.spacing_m=0.1,0.2 --seeds 0:5 -o OUT": "a recipe runs a smaller sweep",
+    "scenec evaluate detections.json --against dataset": "no network has predicted anything here",
     "import torch": "PyTorch takes gigabytes and is not among what scenec installs",
 }
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
 
 import pytest
-from blocks import ROOT, blocks
-
-from scenec.compiler.cfg.load import load
-from scenec.compiler.compile import compile_cfg
+from blocks import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -48,23 +44,3 @@ def test_the_website_builds_without_a_warning(tmp_path):
     commands = (tmp_path / "site" / "commands.html").read_text(encoding="utf-8")
     assert "usage: scenec render" in commands
     assert "compile_cfg" in (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    "coarse", [pytest.param(False, id="as it is", marks=pytest.mark.slow), True]
-)
-def test_the_cfg_that_is_explained_line_by_line_is_valid(coarse, tmp_path):
-    (block,) = blocks("docs/cfg_tour.md")
-    path = tmp_path / "first.json"
-    path.write_text(block.text, encoding="utf-8")
-    spec = load(path)
-    assert spec.cfg["name"] == "first"
-    if coarse:
-        cfg = json.loads(spec.text)
-        cfg["terrain"]["spacing_m"] *= 4
-        cfg["objects"]["rocks"]["count"] //= 16
-        cfg["light"]["sky"]["resolution"] = 32
-        for name in ("sand", "basalt"):
-            cfg["materials"][name]["maps"]["procedural"]["resolution"] = 256
-        path.write_text(json.dumps(cfg), encoding="utf-8")
-    assert compile_cfg(path, seed=1, out=tmp_path / "out", batches=range(1)).batches == (0,)

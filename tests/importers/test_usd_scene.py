@@ -189,7 +189,7 @@ def test_the_report_of_a_stage_can_be_read_by_scripts(tmp_path, capsys):
 def test_whatever_the_reader_does_not_follow_is_in_the_report(tmp_path):
     file = make_stage(tmp_path)
     with changed(file) as stage:
-        UsdGeom.BasisCurves.Define(stage, "/World/hair")
+        UsdGeom.NurbsCurves.Define(stage, "/World/hair")
         UsdLux.RectLight.Define(stage, "/World/panel")
         UsdLux.SphereLight(stage.GetPrimAtPath("/World/bulb")).GetPrim().CreateAttribute(
             "inputs:diffuse", Sdf.ValueTypeNames.Float

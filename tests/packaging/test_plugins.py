@@ -159,6 +159,11 @@ def test_a_scene_of_all_kinds_compiles_renders_and_repeats(site, tmp_path):
     assert (frame.passes["label.class"] == 2).any()
     sidecar = json.loads(stem.with_suffix(".json").read_text())
     assert sidecar["effects"][0]["from"] == package
+    done = scenec(site, "render", outs[0], "--backend", "embree", "--spp", "1")
+    assert done.returncode == 0, done.stderr
+    assert "warning: embree draws no maps" in done.stderr
+    done = scenec(site, "check", outs[0], "--backends", "embree")
+    assert done.returncode == 0, done.stdout + done.stderr
     dataset = tmp_path / "boxes"
     done = scenec(site, "export", outs[0], "--format", "farmland_boxes", "-o", dataset)
     assert done.returncode == 0, done.stderr

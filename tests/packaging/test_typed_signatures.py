@@ -31,7 +31,6 @@ EXCEPTIONS = {
     "api/preview.py": {"set"},
     "api/torch_stream.py": {"__init__"},
     "cli/arguments.py": {"given", "chosen"},
-    "cli/notebook.py": {"compile"},
     # What libraries without types take: trimesh, Blender, Mitsuba, Pillow, PyTorch.
     "compiler/assets/trimesh_file.py": {"loader"},
     "backends/cycles/geometry.py": {"build"},

@@ -1,8 +1,9 @@
 """Renders a stage with Hydra Storm out of bpy's bundled USD, without a window.
 
 Runs in a process of its own, where usd-core is never loaded: ``storm_render.py JOB.json``. The job
-holds ``stage``, ``session`` (text of the session layer), ``mute`` (layers to leave out), and
-``shots``: (camera, time code, width, picture to write). Exits with NO_EGL where there is no EGL.
+holds ``stage``, ``session`` (text of the session layer), ``mute`` (layers to leave out), perhaps
+``complexity`` (above 1 surfaces are refined), and ``shots``: (camera, time code, width, picture to
+write). Exits with NO_EGL where there is no EGL.
 """
 
 import json
@@ -38,6 +39,7 @@ def main():
     recorder = UsdAppUtils.FrameRecorder("HdStormRendererPlugin", True)
     recorder.SetColorCorrectionMode("disabled")
     recorder.SetCameraLightEnabled(False)
+    recorder.SetComplexity(job.get("complexity", 1.0))
     for camera, time, width, picture in job["shots"]:
         recorder.SetImageWidth(width)
         recorder.Record(stage, UsdGeom.Camera(stage.GetPrimAtPath(camera)), time, picture)

@@ -16,7 +16,7 @@ from pxr import Sdf, Usd, UsdShade
 from scenec.backends.check.stage import check_stage
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.emit.materialx import write_material
-from scenec.compiler.scene.material import Material, MaterialMaps
+from scenec.compiler.scene.material import Cutout, Material, MaterialMaps
 from scenec.schemas import materialx
 
 needs_bpy = pytest.mark.skipif(
@@ -24,6 +24,7 @@ needs_bpy = pytest.mark.skipif(
 )
 MIX = "/World/GroundMix"
 COORDINATES = "ND_geompropvalue_vector2"
+CUT = "ND_ifgreatereq_float"
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,7 @@ def shaders(stage: Usd.Stage, under: str) -> dict[str, str]:
 def test_the_stage_uses_every_kind_of_node_and_all_ground_materials_show_one_network(stage):
     opened = Usd.Stage.Open(str(stage))
     mix = shaders(opened, MIX)
-    assert set(mix.values()) == set(materialx.NODES) - {COORDINATES}
+    assert set(mix.values()) == set(materialx.NODES) - {COORDINATES, CUT}
     for name in ("sand", "gravel", "mud"):
         look = f"/World/Looks/{name}"
         assert shaders(opened, look) == mix
@@ -157,6 +158,27 @@ def test_maps_by_texture_coordinates_are_read_there_in_the_viewer_s_own_frame(tm
     assert geomprop == "st"
     scale = opened.GetAttributeAtPath("/World/Looks/m/bumped.inputs:scale").Get()
     assert tuple(scale) == (1.0, -1.0)
+
+
+def test_a_mask_is_an_opacity_of_nothing_or_all(tmp_path):
+    maps = MaterialMaps(1.0, {}, "opengl", "uv", cutout=Cutout(0.25, ("clamp", "repeat")))
+    material = Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps)
+    file = tmp_path / "looks" / "m.mtlx.usda"
+    write_material(file, "m", material, {"opacity": "textures/o.png"})
+    opened = Usd.Stage.Open(str(file))
+    found = shaders(opened, "/World/Looks/m")
+    assert set(found) == LAMBERT | {"st", "opacity_map", "opacity"}
+    assert found["opacity"] == CUT
+    surface, cut, picture = (
+        UsdShade.Shader(opened.GetPrimAtPath(f"/World/Looks/m/{name}"))
+        for name in ("MaterialX", "opacity", "opacity_map")
+    )
+    for shader, name, source in ((surface, "opacity", cut), (cut, "value1", picture)):
+        (connected,), _ = shader.GetInput(name).GetConnectedSources()
+        assert connected.source.GetPath() == source.GetPath()
+    assert [cut.GetInput(name).Get() for name in ("value2", "in1", "in2")] == [0.25, 1.0, 0.0]
+    modes = [picture.GetInput(f"{axis}addressmode").Get() for axis in "uv"]
+    assert modes == ["clamp", "periodic"]
 
 
 def test_a_triplanar_picture_is_read_on_three_planes(tmp_path):

@@ -85,6 +85,15 @@ VALUES: dict[str, dict[str, Any]] = {
         "faceVaryingLinearInterpolation": "all",
         "triangleSubdivisionRule": "smooth",
     },
+    "BasisCurves": SHAPE
+    | {
+        "points": Vt.Vec3fArray([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 2, 0)] * 2),
+        "curveVertexCounts": Vt.IntArray([4, 4]),
+        "widths": Vt.FloatArray([0.25]),
+        "type": "linear",
+        "basis": "bspline",
+        "wrap": "periodic",
+    },
     "GeomSubset": {
         "indices": Vt.IntArray([1]),
         "elementType": "point",
@@ -151,6 +160,13 @@ def built(stage: Usd.Stage, kind: str, name: str) -> Usd.Prim:
     prim = mesh.GetPrim() if mesh else stage.DefinePrim("/Root/it", kind)
     UsdGeom.Xformable(prim).AddTranslateOp().Set((1, 2, 3))
     UsdGeom.Xformable(prim).AddRotateXOp().Set(30.0)
+    if kind == "BasisCurves":
+        curves = UsdGeom.BasisCurves(prim)
+        curves.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)] * 2)
+        curves.CreateCurveVertexCountsAttr([8] if name == "curveVertexCounts" else [4, 4])
+        curves.CreateBasisAttr("catmullRom")
+        curves.CreateWidthsAttr([0.125])
+        curves.SetWidthsInterpolation("constant")
     if kind == "PointInstancer":
         many = UsdGeom.PointInstancer(prim)
         protos = [stage.DefinePrim(f"/Root/it/{name}", "Cube").GetPath() for name in "ab"]

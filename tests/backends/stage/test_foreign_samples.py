@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Ts, UsdGeom, UsdLux, Vt
+from pxr import Gf, Sdf, Ts, UsdGeom, UsdLux, UsdSkel, Vt
 
 from scenec.backends.check.scene import check_scene
 from scenec.backends.stage.read import read_stage
@@ -90,14 +90,27 @@ def test_knots_of_a_spline_count_as_samples(tmp_path):
 
 def test_what_is_not_followed_over_time_makes_no_samples_and_is_named(tmp_path):
     def build(stage):
-        points = square(stage, "/Root/flag").GetPointsAttr()
+        holes = square(stage, "/Root/flag").GetHoleIndicesAttr()
         for code in range(9):
-            points.Set([(0, 0, code), (1, 0, 0), (1, 1, 0), (0, 1, 0)], code)
+            holes.Set([0] * (code % 2), code)
 
     scene = opened(tmp_path, build)
     assert scene.samples == 1
     (line,) = scene.losses
     assert line.startswith("a shape that deforms stands still")
+
+
+def test_what_deforms_makes_samples(tmp_path):
+    def build(stage):
+        points = square(stage, "/Root/flag").GetPointsAttr()
+        for code in range(9):
+            points.Set([(0, 0, code), (1, 0, 0), (1, 1, 0), (0, 1, 0)], code)
+        animation = UsdSkel.Animation.Define(stage, "/Root/bend")
+        animation.CreateBlendShapeWeightsAttr().Set([0.0], 0)
+        animation.GetBlendShapeWeightsAttr().Set([1.0], 8.5)
+
+    scene = opened(tmp_path, build)
+    assert (scene.samples, scene.losses) == (10, ())
 
 
 @pytest.mark.parametrize("name", ["protoIndices", "ids"])

@@ -1,8 +1,10 @@
 """Materials of ``.mtlx`` files that stages refer to, written by MaterialX itself."""
 
 import sys
+from dataclasses import replace
 
 import MaterialX
+import numpy as np
 import pytest
 from PIL import Image
 from pxr import Sdf, UsdShade
@@ -210,10 +212,10 @@ def test_masks_of_gltf_cut_at_their_own_threshold(tmp_path, mode, cut):
 def test_what_is_more_complex_has_its_default_and_a_line(tmp_path):
     made = document("standard_surface", {})
     connect(made.getNode("shade"), "base_color", add(made, "color3", "noise2d", "noise"))
-    turned = add(made, "vector2", "place2d", "turned", rotate=("float", "30"))
+    turned = add(made, "vector2", "rotate2d", "turned", amount=("float", "30"))
     rough = add(made, "float", "image", "rough", file=("filename", "r.png"), texcoord=turned)
     connect(made.getNode("shade"), "specular_roughness", rough)
-    tiles = add(made, "float", "image", "tiles", file=("filename", "r.<UDIM>.png"))
+    tiles = add(made, "float", "image", "tiles", file=("filename", "r.<UVTILE>.png"))
     connect(made.getNode("shade"), "metalness", tiles)
     scene = read_stage(stage_of(tmp_path, made))
     surface = surface_of(scene)
@@ -222,7 +224,7 @@ def test_what_is_more_complex_has_its_default_and_a_line(tmp_path):
     assert len(scene.losses) == 3
     for told in (
         "base_color of shade (standard_surface): the node noise (noise2d) is not read",
-        "specular_roughness of shade (standard_surface): rotate of the node turned is not read",
+        "specular_roughness of shade (standard_surface): the node turned (rotate2d) is not read",
         "metalness of shade (standard_surface): the file, or the tiles, of the node tiles is not",
     ):
         (line,) = [line for line in scene.losses if told in line]
@@ -265,3 +267,154 @@ def test_the_digest_tells_files_apart_and_layers_stay_as_they_are(tmp_path):
     assert read_stage(path).digest == first.digest
     MaterialX.writeToXmlFile(document("gltf_pbr", {}), str(tmp_path / "look.mtlx"))
     assert read_stage(path).digest != first.digest
+
+
+def test_coordinates_are_turned_as_materialx_turns_them(tmp_path):
+    """By the formula of its node graph NG_place2d, in both orders."""
+    Image.new("RGB", (2, 2)).save(tmp_path / "color.png")
+    scale, offset, pivot, angle = (
+        np.array(each) for each in ([0.5, 0.25], [0.1, -0.2], [0.5, 0.3], 30)
+    )
+    a = np.radians(angle)
+    turn = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+    at = np.random.default_rng(1).uniform(size=(5, 2))
+    for order, expected in (
+        ("0", ((at - pivot) / scale) @ turn.T - offset + pivot),
+        ("1", ((at - pivot - offset) @ turn.T) / scale + pivot),
+    ):
+        made = document("standard_surface", {})
+        place = add(made, "vector2", "place2d", "place", scale=("vector2", "0.5, 0.25"),
+                    rotate=("float", "30"), offset=("vector2", "0.1, -0.2"),
+                    pivot=("vector2", "0.5, 0.3"), operationorder=("integer", order))  # fmt: skip
+        picture = add(made, "color3", "image", "it", file=("filename", "color.png"), texcoord=place)
+        connect(made.getNode("shade"), "base_color", picture)
+        found = surface_of(read_stage(stage_of(tmp_path, made))).maps.uv_transform
+        matrix = np.array(found).reshape(2, 3)
+        np.testing.assert_allclose(at @ matrix[:, :2].T + matrix[:, 2], expected, atol=1e-6)
+
+
+def test_colors_of_acescg_become_those_of_rec709(tmp_path):
+    """White stays white, and a primary is within five digits of its place."""
+    for text, expected in (("1, 1, 1", (1, 1, 1)), ("1, 0, 0", (1.70505, 0.0, 0.0))):
+        made = document("standard_surface", {"base_color": ("color3", text)}, "acescg")
+        found = surface_of(read_stage(stage_of(tmp_path, made))).base_color
+        assert found == pytest.approx(expected, abs=2e-5)
+
+
+def as_network(stage, made, path):
+    """Writes a document's material as UsdShade prims, as usdMtlx and other programs do."""
+    libraries = MaterialX.createDocument()
+    MaterialX.loadLibraries(
+        MaterialX.getDefaultDataLibraryFolders(), MaterialX.getDefaultDataSearchPath(), libraries
+    )
+    made.importLibrary(libraries)
+    kinds = {"color3": "color3f", "float": "float", "vector2": "float2", "vector3": "float3",
+             "integer": "int", "filename": "asset", "surfaceshader": "token",
+             "color4": "color4f", "string": "string"}  # fmt: skip
+    material = UsdShade.Material.Define(stage, path)
+
+    def typed(kind):
+        return Sdf.ValueTypeNames.Find(kinds[kind])
+
+    def value(port):
+        text = port.getValueString()
+        if port.getType() == "filename":
+            return Sdf.AssetPath(f"./{text}")
+        numbers = [float(word) for word in text.split(",")]
+        return {"float": float, "integer": int}.get(port.getType(), lambda _: tuple(numbers))(
+            numbers[0]
+        )
+
+    def shader(node, below):
+        found = UsdShade.Shader.Define(stage, f"{below}/{node.getName()}")
+        found.CreateIdAttr(node.getNodeDef().getName())
+        for output in node.getNodeDef().getActiveOutputs():
+            found.CreateOutput(output.getName(), typed(output.getType()))
+        for port in node.getInputs():
+            made_port = found.CreateInput(port.getName(), typed(port.getType()))
+            if port.hasAttribute("nodegraph"):
+                graph = UsdShade.NodeGraph(
+                    stage.GetPrimAtPath(f"{path}/{port.getAttribute('nodegraph')}")
+                )
+                made_port.ConnectToSource(graph.GetOutput(port.getAttribute("output")))
+            elif port.getConnectedNode() is not None:
+                source = shader(port.getConnectedNode(), below)
+                made_port.ConnectToSource(source.GetOutput(port.getOutputString() or "out"))
+            else:
+                made_port.Set(value(port))
+                if port.getActiveColorSpace() and port.getType() in ("color3", "filename"):
+                    made_port.GetAttr().SetColorSpace(port.getActiveColorSpace())
+        return found
+
+    for graph in made.getNodeGraphs():
+        if graph.getName() != "graph":
+            continue
+        prim = UsdShade.NodeGraph.Define(stage, f"{path}/graph")
+        for output in graph.getOutputs():
+            source = shader(output.getConnectedNode(), f"{path}/graph")
+            prim.CreateOutput(output.getName(), typed(output.getType())).ConnectToSource(
+                source.GetOutput("out")
+            )
+    surface = shader(made.getNode("shade"), path)
+    material.CreateSurfaceOutput("mtlx").ConnectToSource(surface.GetOutput("out"))
+    return material
+
+
+def leaf_of_gltf(folder):
+    Image.new("RGBA", (2, 2), (255, 128, 0, 99)).save(folder / "leaf.png")
+    made = document("gltf_pbr", {"alpha_mode": ("integer", "1")})
+    leaf = add(made, "multioutput", "gltf_colorimage", "leaf", file=("filename", "leaf.png"))
+    leaf.getInput("file").setColorSpace("srgb_texture")
+    for name, kind, output in (("base_color", "color3", "outcolor"), ("alpha", "float", "outa")):
+        port = made.getNode("shade").addInput(name, kind)
+        port.setNodeName(leaf.getName())
+        port.setOutputString(output)
+    return made
+
+
+DOCUMENTS = {
+    "constants": lambda _: document("standard_surface", {"base_color": ("color3", "0.1, 0.2, 0.3")}
+                                    | {"emission": ("float", "2"), "coat": ("float", "1")}),
+    "defaults": lambda _: document("standard_surface", {}),
+    "openpbr": lambda _: document("open_pbr_surface", {"base_metalness": ("float", "0.5")}),
+    "gltf": lambda _: document("gltf_pbr", {"emissive": ("color3", "1, 0.5, 0")}, "srgb_texture"),
+    "preview": lambda _: document("UsdPreviewSurface", {"roughness": ("float", "0.25")}),
+    "pictures": textured,
+    "mask": leaf_of_gltf,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("instanced", [False, True])
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_a_network_of_the_stage_is_read_as_its_file_is_without_the_package(
+    tmp_path, monkeypatch, name, instanced
+):
+    made = DOCUMENTS[name](tmp_path)
+    expected = surface_of(read_stage(stage_of(tmp_path, made)))
+    stage = new_stage(tmp_path / "own.usda", "/Root")
+    base = "/Model" if instanced else "/Root/Model"
+    mesh = polygons(stage, f"{base}/Mesh", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [3], [0, 1, 2])
+    material = as_network(stage, made, f"{base}/Look")
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    if instanced:
+        prim = stage.DefinePrim("/Root/Model")
+        prim.GetReferences().AddInternalReference("/Model")
+        prim.SetInstanceable(True)
+        stage.GetPrimAtPath("/Model").SetSpecifier(Sdf.SpecifierClass)
+    stage.GetRootLayer().Save()
+    before = (tmp_path / "own.usda").read_bytes()
+    monkeypatch.setitem(sys.modules, "MaterialX", None)
+    scene = read_stage(tmp_path / "own.usda")
+    assert replace(surface_of(scene), path="") == replace(expected, path="")
+    assert any("not followed: coat" in line for line in scene.losses) == (name == "constants")
+    assert (tmp_path / "own.usda").read_bytes() == before
+
+
+def test_a_surface_of_materialx_that_is_not_read_is_named(tmp_path):
+    stage = new_stage(tmp_path / "own.usda", "/Root")
+    mesh = polygons(stage, "/Root/Mesh", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [3], [0, 1, 2])
+    material = as_network(stage, document("disney_principled", {}), "/Root/Look")
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    stage.GetRootLayer().Save()
+    (line,) = read_stage(tmp_path / "own.usda").losses
+    assert "displayColor is shown: 1 prim, /Root/Look" in line

@@ -248,9 +248,8 @@ def test_orthographic_cameras_are_left_out_and_named_unless_they_are_asked_for(t
 
 
 LENSES = {
-    "kit": ("cameraProjectionType", Sdf.ValueTypeNames.Token, "fisheyePolynomial"),
-    "kit, pinhole": ("cameraProjectionType", Sdf.ValueTypeNames.Token, "pinholeOpenCV"),
-    "sensor": ("omni:lensdistortion:model", Sdf.ValueTypeNames.Token, "ftheta"),
+    "kit": ("cameraProjectionType", Sdf.ValueTypeNames.Token, "fisheyeOfTomorrow"),
+    "sensor": ("omni:lensdistortion:model", Sdf.ValueTypeNames.Token, "ofTomorrow"),
     "older": ("physicalDistortionModel", Sdf.ValueTypeNames.String, "kannalaBrandt"),
     "karma": ("karma:camera:use_lensshader", Sdf.ValueTypeNames.Bool, True),
 }

@@ -96,13 +96,13 @@ def from_node(name: str, node: str):
     return build
 
 
-def materialx_only(stage):
+def of_renderman_only(stage):
     bind(stage, square(stage, "/Root/it").GetPrim())
     material = UsdShade.Material.Get(stage, "/Root/Looks/material")
     material.GetSurfaceOutput().ClearSources()
-    shader = UsdShade.Shader.Define(stage, "/Root/Looks/material/mtlx")
-    shader.CreateIdAttr("ND_standard_surface_surfaceshader")
-    material.CreateSurfaceOutput("mtlx").ConnectToSource(shader.CreateOutput("out", TYPES.Token))
+    shader = UsdShade.Shader.Define(stage, "/Root/Looks/material/ri")
+    shader.CreateIdAttr("PxrSurface")
+    material.CreateSurfaceOutput("ri").ConnectToSource(shader.CreateOutput("out", TYPES.Token))
 
 
 def displaced(stage):
@@ -160,7 +160,11 @@ def colored(found):
 
 def waving(found):
     for time in range(2):
-        found.GetPointsAttr().Set([(0, 0, time), (1, 0, 0), (1, 1, 0), (0, 1, 0)], time)
+        found.GetHoleIndicesAttr().Set([time], time)
+
+
+def skinned_cube(stage):
+    skinned(UsdGeom.Cube.Define(stage, "/Root/it"))
 
 
 def recolored(found):
@@ -264,7 +268,7 @@ LOSSES = {
     "hidden": (hidden, "renderVisibility is not followed"),
     "pass": (render_pass, "collections of RenderPass are not followed"),
     "levels": (levels_of_detail, "levels of detail are not chosen"),
-    "opacity": (preview("opacity", TYPES.Float, 0.5), "opacity of UsdPreviewSurface is not"),
+    "opacity": (preview("opacity", TYPES.Float, 0.6), "opacity of UsdPreviewSurface without"),
     "coat": (preview("clearcoat", TYPES.Float, 1.0), "clearcoat of UsdPreviewSurface is not"),
     "bumps": (preview("displacement", TYPES.Float, 0.1), "displacement of UsdPreviewSurface is"),
     "noise": (from_node("diffuseColor", "Noise"), "diffuseColor of UsdPreviewSurface from Noise"),
@@ -274,17 +278,18 @@ LOSSES = {
         lambda stage: bind(stage, square(stage, "/Root/it").GetPrim(), "Vendor") and None,
         "the surface Vendor is not read",
     ),
-    "materialx": (materialx_only, "a surface for other renderers is not read"),
+    "renderman": (of_renderman_only, "a surface for other renderers is not read"),
     "displacement": (displaced, "the displacement of a material is not read"),
     "clamp": (clamped, "wrap modes"),
     "weak normals": (weak_normals, "scale and bias of a texture of normals are not followed"),
     "tilt": (preview("normal", TYPES.Normal3f, Gf.Vec3f(0, 0.6, 0.8)), "normal of UsdPreview"),
-    "skin": (mesh(skinned), "a skinned mesh stands in its rest pose"),
-    "blend": (mesh(blended), "a skinned mesh stands in its rest pose"),
-    "clear": (mesh(lambda m: m.CreateDisplayOpacityAttr([0.5])), "displayOpacity is not followed"),
+    "skin": (mesh(skinned), "a skinned mesh whose skeleton"),
+    "blend": (mesh(blended), "a skinned mesh whose skeleton"),
+    "clear": (mesh(lambda m: m.CreateDisplayOpacityAttr([0.5])), "displayOpacity is no blend"),
     "cage": (mesh(unsaid), "normals of a mesh without a subdivisionScheme"),
     "normals": (mesh(corner_normals), "normals of face corners"),
     "waves": (mesh(waving), "a shape that deforms stands still"),
+    "bones": (skinned_cube, "a skinned shape that is no mesh"),
     "flicker": (mesh(recolored), "primvars that change"),
     "mesh light": (
         mesh(lambda m: UsdLux.MeshLightAPI.Apply(m.GetPrim())),
@@ -375,18 +380,18 @@ def test_a_color_that_only_faces_of_other_materials_have_is_no_loss(tmp_path, bo
 
 def test_all_of_a_kind_are_one_line_and_prototypes_count_once(tmp_path):
     def build(stage):
-        UsdGeom.BasisCurves.Define(stage, "/Model/grass")
+        UsdGeom.NurbsCurves.Define(stage, "/Model/grass")
         for i in range(5):
             prim = UsdGeom.Xform.Define(stage, f"/Root/t{i}").GetPrim()
             prim.GetReferences().AddInternalReference("/Model")
             prim.SetInstanceable(True)
         stage.GetPrimAtPath("/Model").SetActive(True)
-        UsdGeom.BasisCurves.Define(stage, "/Root/z")
+        UsdGeom.NurbsCurves.Define(stage, "/Root/z")
         UsdGeom.Points.Define(stage, "/Root/dust")
 
     lines = opened(tmp_path, build).losses
     assert lines == (
-        "BasisCurves is not read: 3 prims, the first is /Root/t0/grass",
+        "NurbsCurves is not read: 3 prims, the first is /Root/t0/grass",
         "Points is not read: 1 prim, /Root/dust",
     )
 
@@ -473,7 +478,7 @@ def test_a_camera_inside_a_native_instance_is_one(tmp_path):
 def test_a_label_that_nothing_carries_is_a_warning_of_foreign_stages(tmp_path):
     def build(stage):
         label(square(stage, "/Root/floor").GetPrim(), "floor")
-        hair = stage.DefinePrim("/Root/hair", "BasisCurves")
+        hair = stage.DefinePrim("/Root/hair", "NurbsCurves")
         label(hair, "hair")
         off = square(stage, "/Root/off").GetPrim()
         label(off, "ghost")
@@ -481,7 +486,7 @@ def test_a_label_that_nothing_carries_is_a_warning_of_foreign_stages(tmp_path):
 
     scene = opened(tmp_path, build)
     unread, *labels = check_scene(scene)
-    assert "BasisCurves" in unread.message
+    assert "NurbsCurves" in unread.message
     assert [f.message for f in labels] == [
         "no face, instance or sky carries the label ghost of the level class",
         "no face, instance or sky carries the label hair of the level class",
@@ -501,10 +506,10 @@ def test_losses_reach_the_report_the_sidecars_and_the_check(tmp_path, capsys):
     def build(stage):
         square(stage, "/Root/floor")
         UsdGeom.Camera.Define(stage, "/Root/eye").AddTranslateOp().Set((0, 0, 5))
-        stage.DefinePrim("/Root/hair", "BasisCurves")
+        stage.DefinePrim("/Root/hair", "NurbsCurves")
 
     path = written(tmp_path, build)
-    line = "BasisCurves is not read: 1 prim, /Root/hair"
+    line = "NurbsCurves is not read: 1 prim, /Root/hair"
     report = render(path, "reference", passes=["depth"])
     assert (report.losses, report.warnings) == ([line], [line])
     (frame,) = report.frames

@@ -29,7 +29,20 @@ def _broken() -> dict[str, tuple[bytes, str]]:
     document = gltf_document(3, 3)
     body = np.zeros(9, "<f4").tobytes() + np.arange(3, dtype="<u4").tobytes()
     outside = {**document, "buffers": [{"byteLength": 48, "uri": "mesh.bin"}]}
-    draco = {**document, "extensionsRequired": ["KHR_draco_mesh_compression"]}
+    ((primitive,),) = (mesh["primitives"] for mesh in document["meshes"])
+    packed = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
+    draco = {**document, "meshes": [{"primitives": [{**primitive, "extensions": packed}]}]}
+    views = document["bufferViews"]
+    packed = {
+        "EXT_meshopt_compression": {
+            "buffer": 0,
+            "byteLength": 36,
+            "byteStride": 12,
+            "count": 3,
+            "mode": "ATTRIBUTES",
+        }
+    }
+    meshopt = {**document, "bufferViews": [{**views[0], "extensions": packed}, *views[1:]]}
     still = {**document, "nodes": [{"mesh": 0, "rotation": [0, 0, 0, 0]}]}
     loop = {**document, "nodes": [{"children": [0], "mesh": 0}]}
     first, second = document["accessors"]
@@ -77,7 +90,8 @@ def _broken() -> dict[str, tuple[bytes, str]]:
         ),
         "cut.glb": (glb(document, body)[:-8], "cut short"),
         "outside.glb": (glb(outside, b""), "the buffer 'mesh.bin', which is not there"),
-        "draco.glb": (glb(draco, body), "KHR_draco_mesh_compression"),
+        "draco.glb": (glb(draco, body), "not draco encoded"),
+        "meshopt.glb": (glb(meshopt, body), "Malformed buffer data"),
         "still.glb": (glb(still, body), "a rotation is 0 0 0 0"),
         "loop.glb": (glb(loop, body), "node 0 is in two places"),
         "long.glb": (glb(long, body), "its header and its data do not fit"),

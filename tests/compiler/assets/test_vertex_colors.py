@@ -74,6 +74,23 @@ def test_colors_of_a_model_multiply_its_material_in_the_stage(tmp_path, kind):
     assert scene.surfaces[mesh.layers[0]].base_color == (1.0, 1.0, 1.0)
 
 
+def test_faces_with_a_material_of_their_own_color_have_none_of_the_mesh(tmp_path):
+    stage = square(tmp_path / "a.usda", "vertex")
+    subset = UsdGeom.Subset.CreateGeomSubset(
+        UsdGeom.Imageable(stage.GetPrimAtPath("/square")), "half", "face", [1], "materialBind"
+    )
+    material = UsdShade.Material.Define(stage, "/look")
+    shader = UsdShade.Shader.Define(stage, "/look/surface")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    shader.CreateInput("diffuseColor", TYPES.Color3f).Set((0.2, 0.3, 0.4))
+    material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", TYPES.Token))
+    UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
+    stage.Save()
+    colors = read_model(tmp_path / "a.usda").colors
+    np.testing.assert_array_equal(colors[0], COLORS[:3])
+    np.testing.assert_array_equal(colors[1], 1.0)
+
+
 def test_a_class_with_a_material_of_the_cfg_has_no_colors(tmp_path):
     square(tmp_path / "a.usda", "vertex")
     cfg = small_cfg()

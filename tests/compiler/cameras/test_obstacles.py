@@ -220,7 +220,7 @@ def test_a_camera_may_be_under_a_crown_and_not_in_one():
 def test_circles_that_find_no_place_are_compared_with_the_ground_that_is_allowed():
     where = [{"type": "point", "x_m": 0, "y_m": 0, "max_m": 4}]
     with pytest.raises(SceneError, match=r"of the ([\d.]+) % of it they may be on") as error:
-        laid(surroundings(amplitude_m=0.0), count=4000, where=where, apart={})
+        laid(surroundings(amplitude_m=0.0), count=4000, where=where, apart={"radius": 1})
     share = float(str(error.value).split("% of the ")[1].split()[0])
     assert share == pytest.approx(100 * np.pi * 16 / (40 * 32), rel=0.15)
     covered = float(str(error.value).split("would cover ")[1].split()[0])

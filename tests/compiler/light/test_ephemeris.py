@@ -6,6 +6,7 @@ import erfa
 import numpy as np
 import pytest
 
+from scenec.backends.run.facts import sun_record
 from scenec.backends.stage.read import read_stage
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.light import ephemeris
@@ -119,21 +120,53 @@ def test_terrestrial_time_follows_the_leap_seconds_that_erfa_has(day):
 
 
 @pytest.mark.parametrize(
-    ("time", "ls", "mean_time", "west", "sun_west", "solar_time", "distance"),
+    ("time", "ls", "mtc", "west", "lmst", "sun_west", "solar_time", "distance"),
     [
-        ("2000-01-06T00:00:00", 277.18758, 23.99425, 0.0, 174.72600, 23.64840, 1.39358),
-        ("2004-01-03T13:46:31", 327.32416, 13.16537, 184.702, 4.70500, 0.00020, 1.47767),
+        ("2000-01-06T00:00:00", 277.18758, 23.99425, 0.0, 23.99425, 174.72600, 23.64840, 1.39358),
+        ("2004-01-03T13:46:31", 327.32416, 13.16537, 184.702, 0.85190, 4.70500, 0.00020, 1.47767),
     ],
 )
 def test_mars_has_the_worked_examples_of_mars24(
-    time, ls, mean_time, west, sun_west, solar_time, distance
+    time, ls, mtc, west, lmst, sun_west, solar_time, distance
 ):
     sun = ephemeris.sun_over("mars", np.datetime64(time))
     assert sun.ls_deg == pytest.approx(ls, abs=2e-5)
-    assert sun.mean_time_h == pytest.approx(mean_time, abs=1e-5)
+    assert sun.mean_time_h == pytest.approx(mtc, abs=1e-5)
+    assert ephemeris.mean_solar_time_h(sun, -west) == pytest.approx(lmst, abs=1e-5)
     assert 360.0 - sun.overhead.longitude_deg == pytest.approx(sun_west, abs=1e-5)
     assert ephemeris.solar_time_h(sun.overhead, -west) == pytest.approx(solar_time, abs=1e-5)
     assert sun.overhead.distance_km / ephemeris.AU_KM == pytest.approx(distance, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("body", "most_h", "days"), [("earth", 0.275, 365.2422), ("moon", 0.14, 29.530589)]
+)
+def test_mean_time_goes_evenly_and_true_time_stays_beside_it(body, most_h, days):
+    # Equation of time: 16.5 minutes on Earth; the Moon turns evenly and stands upright: the Sun's
+    # equation of center, 1.9 degrees, and what it is off the Earth, 0.15.
+    start, off, mean = np.datetime64("2024-01-01T00:00:00"), [], []
+    for hour in range(0, 366 * 24, 31):
+        sun = ephemeris.sun_over(body, start + np.timedelta64(hour, "h"))
+        true = ephemeris.solar_time_h(sun.overhead, 77.0)
+        mean.append((hour, ephemeris.mean_solar_time_h(sun, 77.0)))
+        off.append((true - mean[-1][1] + 12.0) % 24.0 - 12.0)
+    assert 0.8 * most_h < np.abs(off).max() < most_h
+    assert abs(np.mean(off)) < 0.02
+    rate = 1.0 if body == "earth" else 1.0 / days
+    (first, at_first), *rest = mean
+    for hour, there in rest:
+        gone = (there - at_first - (hour - first) * rate + 12.0) % 24.0 - 12.0
+        assert abs(gone) < 1e-5
+
+
+def test_mean_time_of_earth_is_ut_and_that_of_the_moon_begins_with_the_mean_new_moon():
+    noon = ephemeris.sun_over("earth", np.datetime64("2031-05-06T12:00:00"))
+    assert ephemeris.mean_solar_time_h(noon, 15.0) == pytest.approx(13.0, abs=1e-9)
+    # Meeus 1998, ch. 49: mean new moon of k = 0, JDE 2451550.09766; it is midnight at longitude 0.
+    days = 2451550.09766 - 2451545.0 - 64.184 / 86400.0
+    time = np.datetime64("2000-01-01T12:00:00") + np.timedelta64(round(days * 86400), "s")
+    mean = ephemeris.mean_solar_time_h(ephemeris.sun_over("moon", time), 0.0)
+    assert (mean + 12.0) % 24.0 == pytest.approx(12.0, abs=1e-3)
 
 
 def test_sun_and_earth_stand_over_the_moon_as_meeus_has_it():
@@ -230,5 +263,9 @@ def test_a_sun_over_a_dem_of_gdals_stands_where_erfa_and_proj_have_it(tmp_path, 
         seen = way - radius / distance * up
         expected = np.array([seen @ x, seen @ y, seen @ up]) / np.linalg.norm(seen)
         (sun,) = scene.lighting[sample].suns
+        assert sun.time.body == body
+        assert (sun.time.ls_deg is not None) == (body == "mars")
+        assert np.datetime64(sun.time.time_utc[:-1]) == at
+        assert sun_record(scene.lighting[sample]).time == sun.time
         chord = np.linalg.norm(sun.to_light - expected)
         assert 2.0 * np.arcsin(0.5 * chord) / _DEG < 0.9 / 60.0

@@ -255,9 +255,8 @@ def test_heights_beyond_black_and_white_are_refused_and_not_cut_off(tmp_path):
     assert np.allclose(gray(tmp_path / "b.exr"), raised)
 
 
-def test_heights_in_color_of_16_bits_are_not_read_as_8(tmp_path):
-    gray_16 = np.arange(64, dtype=np.uint16).reshape(8, 8) * 1000
-    cv2.imwrite(str(tmp_path / "a.png"), np.repeat(gray_16[..., None], 3, axis=2))
-    assert "16 bits a channel" in heights_refused(tmp_path, "a.png")
-    cv2.imwrite(str(tmp_path / "b.png"), gray_16)
-    assert np.allclose(gray(tmp_path / "b.png"), gray_16 / 65535.0)
+@pytest.mark.parametrize("name", ["color.png", "color.tif", "gray.png"])
+def test_heights_keep_their_16_bits_in_color_too(tmp_path, name):
+    codes = np.arange(64, dtype=np.uint16).reshape(8, 8) * 1000
+    cv2.imwrite(str(tmp_path / name), codes if "gray" in name else cv2.merge([codes] * 3))
+    assert np.array_equal(gray(tmp_path / name), (codes / 65535.0).astype(np.float32))

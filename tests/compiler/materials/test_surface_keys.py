@@ -116,6 +116,8 @@ def test_cells_are_others_in_each_batch_and_the_same_for_one_seed(folder):
         ({"displacement_m": 0.1}, "/displacement_m", "without a picture"),
         ({"ambient_occlusion_strength": 1}, "/ambient_occlusion_strength", "without a picture"),
         ({"emission": "e.png"}, "/emission", "left out"),
+        ({"opacity": "h.png"}, "/opacity", 'expected "projection": "uv"'),
+        ({"opacity_threshold": 0.2}, "/opacity_threshold", "without a picture"),
         ({"gloss": "h.png", "roughness": "h.png"}, "/gloss", "take one away"),
     ],
 )

@@ -15,7 +15,7 @@ from scenec.compiler.distributions.streams import Streams
 from scenec.compiler.kinds.context import Context, InputFile
 from scenec.compiler.kinds.draw import draw_kind
 from scenec.compiler.mesh.surface import GroundSurface
-from scenec.compiler.objects.placement_context import PlacementContext, plan_circles
+from scenec.compiler.objects.placement_context import PlacementContext, footprints, plan_circles
 from scenec.compiler.objects.plan import ScatterPlan
 from scenec.compiler.objects.rocks import build_chains
 from scenec.compiler.objects.scatter import scatter
@@ -45,6 +45,7 @@ def surroundings(
     """Hills, cameras, and what lies there already."""
     around = PlacementContext(surface(amplitude_m), cameras)
     around.objects.update({name: plan_circles(laid) for name, laid in objects.items()})
+    around.footprints.update({name: footprints(laid) for name, laid in objects.items()})
     return around
 
 

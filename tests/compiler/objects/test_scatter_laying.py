@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,21 +11,37 @@ import trimesh
 from elsewhere import digest_elsewhere
 from laying import laid, plan, surroundings
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from scenec.compiler.distributions.laws import golombek_rapp_per_m2
 from scenec.compiler.geometry.rotations import rotation_rows
+from scenec.compiler.objects.scatter import scatter
+from scenec.compiler.scene.objects import Prototype
 from scenec.schemas.errors import SceneError
 
 POWER = {"type": "power_law", "exponent": 2.5, "min": 0.1, "max": 3}
 
 
-def overlaps(a, b, gap: float = 0.0, radius: float = 1.0) -> int:
-    """Pairs of circles that are nearer to each other than asked, by brute force."""
+def overlaps(a, b, gap: float = 0.0, radius: float | None = 1.0) -> int:
+    """Pairs of circles that are nearer to each other than asked, by brute force.
+
+    Args:
+        radius: As ``apart`` has it; None: circles are as wide as all vertices seen from above.
+    """
     at = [s.positions[:, :2].astype(np.float64) for s in (a, b)]
-    wide = [radius * s.radii() for s in (a, b)]
+    wide = [widths(s) if radius is None else radius * s.radii() for s in (a, b)]
     away = np.hypot(*(at[0][:, None] - at[1][None]).transpose(2, 0, 1))
-    near = away < (wide[0][:, None] + wide[1][None] + gap) * (1.0 - 1e-12)
+    # Widths are of turns in float32.
+    near = away < (wide[0][:, None] + wide[1][None] + gap) * (1.0 - 1e-6 * (radius is None) - 1e-12)
     return int(near.sum() - (len(at[0]) if a is b else 0)) // (2 if a is b else 1)
+
+
+def widths(scatter):
+    """Farthest of each instance's turned vertices from the vertical through its origin, meters."""
+    turns = Rotation.from_quat(scatter.orientations.astype(float)).as_matrix()
+    points = [scatter.prototypes[k].points.astype(float) for k in scatter.prototype]
+    wide = [np.hypot(*(p @ turn.T)[:, :2].T).max() for p, turn in zip(points, turns, strict=True)]
+    return np.array(wide) * scatter.scales[:, 0]
 
 
 @pytest.mark.parametrize(
@@ -115,11 +132,37 @@ def test_circles_keep_apart_from_those_of_earlier_classes():
     around = surroundings(pebbles=pebbles)
     apart = {"of": ["pebbles", "rocks"]}
     rocks = laid(around, count=60, size_m={"type": "uniform", "min": 0.05, "max": 0.5}, apart=apart)
-    assert overlaps(rocks, pebbles) == 0
-    assert overlaps(rocks, rocks) == 0
-    only = laid(around, count=3000, size_m=0.2, apart={"of": ["pebbles"]})
+    assert overlaps(rocks, pebbles, radius=None) == 0
+    assert overlaps(rocks, rocks, radius=None) == 0
+    only = laid(around, count=3000, size_m=0.2, apart={"of": ["pebbles"], "radius": 1})
     assert overlaps(only, pebbles) == 0
     assert overlaps(only, only) > 50
+
+
+@pytest.mark.parametrize("orientation", ["upright", "random", "normal"])
+def test_left_out_circles_are_as_wide_as_objects_from_above(orientation):
+    # Pillars 20 times as tall as wide: spheres around upright ones would cover 9 times the ground.
+    beam = trimesh.creation.box((0.2, 0.2, 4.0))
+    beam.apply_translation((0.0, 0.0, 2.0))
+    pillar = Prototype(
+        "pillar",
+        beam.vertices.astype(np.float32),
+        beam.faces.astype(np.int32),
+        beam.vertex_normals.astype(np.float32),
+        np.zeros(len(beam.vertices), np.float32),
+        radius=float(np.linalg.norm(beam.vertices, axis=1).max()),
+    )
+    count = 200 if orientation == "upright" else 12
+    drawn = plan(count=count, size_m=1, orientation=orientation, lean_deg=3, apart={})
+    drawn = replace(drawn, prototype=np.zeros(count, np.int32))
+    pillars = scatter(drawn, [(pillar,)], surroundings(), {})
+    assert pillars.count == count
+    assert overlaps(pillars, pillars, radius=None) == 0
+    if orientation == "upright":
+        assert widths(pillars).max() < 0.4
+        assert overlaps(pillars, pillars) > 100
+    stones = laid(surroundings(pillars=pillars), count=300, apart={"of": ["pillars"]})
+    assert overlaps(stones, pillars, radius=None) == 0
 
 
 def test_more_objects_move_only_those_whose_place_a_larger_one_takes():
@@ -146,9 +189,9 @@ def test_places_of_small_ones_do_not_change_those_of_large_ones():
 def test_what_finds_no_place_is_an_error_that_says_how_many_fit_or_leaves_gaps():
     around = surroundings()
     with pytest.raises(SceneError, match=r"objects/rocks: only \d+ of 400 found .* cover 221 %"):
-        laid(around, count=400, size_m=3, apart={})
+        laid(around, count=400, size_m=3, apart={"radius": 1})
     facts: dict = {}
-    scatter = laid(around, facts, count=400, size_m=3, apart={}, shortfall="fewer")
+    scatter = laid(around, facts, count=400, size_m=3, apart={"radius": 1}, shortfall="fewer")
     assert overlaps(scatter, scatter) == 0
     # Random sequential adsorption of equal discs jams at 0.547 of the area.
     part = scatter.count * np.pi * 1.5**2 / 1280
@@ -210,7 +253,7 @@ def test_no_camera_is_nearer_to_a_rock_than_asked(apart):
     assert (gaps(scatter, around.cameras) > 0.5).all()
     assert facts["moved_off_cameras"] > 3
     if apart is not None:
-        assert overlaps(scatter, scatter) == 0
+        assert overlaps(scatter, scatter, radius=None) == 0
     free = laid(around, count=500, size_m=size, clearance_m=-1e6, **change)
     moved = (free.positions != scatter.positions).any(axis=1)
     gap = gaps(free, around.cameras)

@@ -1,4 +1,7 @@
-"""For docs/placement.md: densities in plan, and objects that keep apart."""
+"""Draws the densities of docs/objects.md in plan, and tables chi-square against their formulas.
+
+python lab/pages/densities.py [--fast] [-o FOLDER]
+"""
 
 from __future__ import annotations
 
@@ -30,10 +33,10 @@ from scenec.compiler.terrain.condition import Interval, Slope
 from scenec.compiler.terrain.grid import Grid, HeightField
 from scenec.compiler.terrain.operators.craters import Craters
 from scenec.lab.benchmarks.cfgs import fbm
-from scenec.lab.pages.placement_field import PLANE, SIZE, place
-from scenec.lab.runner import Page
-from scenec.schemas.kernels import kernel
+from scenec.lab.runner import Page, run
 
+#: Extent of the terrain, meters.
+SIZE = (40.0, 32.0)
 _CORNERS = np.array([[-18.0, -10.0], [-4.0, 7.0], [15.0, -6.0]])
 # Smallest squares over which a law is integrated, meters.
 _FINE = 0.1
@@ -176,50 +179,16 @@ def densities(page: Page) -> None:
         axes.title.set_fontsize(9)
     # The last case's objects, held against its condition at their own places.
     astray = 100 * float((_gentle(around.surface.field, x, y) == 0.0).mean())
-    page.value("astray", f"{astray:.0f} %")
+    page.say(f"{astray:.0f} % lie where the slope between samples is beyond the bound\n")
     plots.ravel()[-1].axis("off")
     page.save(figure, "densities")
     small = Image.open(page.picture("densities")).convert("L").quantize(16)
     small.save(page.picture("densities"), optimize=True)
-    page.rows(rows)
+    page.table(
+        ["density", "degrees of freedom", "χ² / degree", "standard deviations", "cells, m", "s"],
+        rows,
+    )
 
 
-@kernel
-def _worst(x, y, reach):  # type: ignore[no-untyped-def]
-    """Deepest overlap of two circles, meters, over all pairs; below 0 it is the least gap."""
-    worst = -np.inf
-    for i in range(len(x)):
-        for j in range(i):
-            dx, dy = x[i] - x[j], y[i] - y[j]
-            limit = reach[i] + reach[j] - worst
-            # Roots only where a pair may be the worst.
-            if limit > 0.0 and dx * dx + dy * dy < limit * limit:
-                worst = max(worst, reach[i] + reach[j] - np.sqrt(dx * dx + dy * dy))
-    return worst
-
-
-def isolated(page: Page) -> None:
-    """Places from few objects to as many as fit without overlap."""
-    area = SIZE[0] * SIZE[1]
-    law = {"type": "power_law", "exponent": 2.5, "min": 0.1, "max": 2}
-    usual = {"apart": {}, "clearance_m": 0, "lod_px": 0, "shortfall": "fewer", "subdivisions": 1}
-    parts = (0.05, 0.2, 0.4) if page.fast else (0.05, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.547)
-    more = () if page.fast else (0.6, 0.65, 0.7, 0.75)
-    # The mean square of exponent 2.5 between 0.1 m and 2 m, by hand.
-    mean = 0.25 * np.pi * (1.5 / 0.5) * (2**0.5 - 0.1**0.5) / (0.1**-1.5 - 2**-1.5)
-    rows = []
-    cases = [("equal", 0.3, part, 0.25 * np.pi * 0.09) for part in parts]
-    cases += [("power law", law, part, mean) for part in (*parts, *more)]
-    for name, size, part, each in cases:
-        count = round(part * area / each)
-        placed = place({"rocks": usual | {"count": count, "size_m": size}}, relief=(PLANE,))
-        x, y = placed.scatter.positions[:, :2].astype(np.float64).T
-        radii = placed.scatter.radii()
-        worst = _worst(np.ascontiguousarray(x), np.ascontiguousarray(y), radii)
-        asked = 0.25 * np.pi * (placed.plan.objects[0].scale ** 2).sum() / area
-        rows.append([
-            name, f"{asked:.3f}", f"{np.pi * (radii * radii).sum() / area:.3f}", f"{count:,}",
-            f"{placed.scatter.count:,}", str(placed.facts["rocks"].get("tries_max", 0)),
-            f"{placed.seconds:.2f}", f"{max(worst, 0.0):.1e}", f"{max(-worst, 0.0):.1e}",
-        ])  # fmt: skip
-    page.rows(rows)
+if __name__ == "__main__":
+    run(densities, page="objects")
