@@ -267,6 +267,10 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         splits=names,
         options={key: str(value) for key, value in choice.options.items()},
         sky=_sky(source, choice.remap),
+        renumbered={
+            level: {n: choice.remap.number(level, n, old) for n in old[level]}
+            for level in choice.remap.changes
+        },
         filters=tuple(map(str, choice.filters.conditions)),
         beside=tuple(kind for kind in BESIDE if kind in beside),
         anywhere=tuple(dict.fromkeys(p for record in cameras for p in record.passes)),

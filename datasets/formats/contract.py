@@ -94,6 +94,7 @@ class Info:
         imaging: Whether any camera's pictures are a sensor's.
         points: Columns of each point of a sweep (``outputs.DatasetPoint.settings``).
         rigs: Of each batch.
+        renumbered: Level -> a label's id in the stage -> its id after remapping, if any is another.
     """
 
     name: str
@@ -109,6 +110,7 @@ class Info:
     imaging: bool = False
     points: tuple[Mapping[str, JSON], ...] = ()
     rigs: Rigs = field(default_factory=Rigs)
+    renumbered: Mapping[str, Mapping[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
