@@ -258,6 +258,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
     split_of = assign(there, choice.splits, choice.split_seed, source.outputs.twins())
     names = tuple(choice.splits) or tuple(dict.fromkeys(split_of.values()))
     cameras = one_of_each(source.frames).values()
+    places = source.outputs.georeferences()
     beside = {kind for record in cameras for kind in kinds(record)}
     info = Info(
         name=source.outputs.name,
@@ -277,6 +278,9 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         imaging=any(map(is_from_sensor, cameras)),
         points=tuple(point.settings for point in source.outputs.points),
         rigs=Rigs(choice.rigs, {name: path.absolute() for name, path in source.stages.items()}),
+        georeferences={
+            ref.batch_name: places[ref.batch] for ref in source.frames if ref.batch in places
+        },
     )
     if folder is None:
         base = out if out.is_dir() else out.parent
