@@ -605,6 +605,12 @@ class RenderScene:
         return self.surfaces[mesh.layers[0]].cutout if len(mesh.layers) == 1 else None
 
     @property
+    def vehicle(self) -> Vehicle | None:
+        """The first vehicle that a camera rides on."""
+        named = (camera.vehicle for camera in self.cameras[0]) if self.cameras else ()
+        return next(filter(None, named), None)
+
+    @property
     def has_cutouts(self) -> bool:
         """Whether parts of any mesh are cut out."""
         return any(self.cutout_of(mesh) is not None for mesh in self.meshes)
