@@ -357,11 +357,16 @@ class _Parser(argparse.ArgumentParser):
         elif option := re.search(r"unrecognized arguments: (-[^\s=]+)", message):
             known = self._options()
             if option[1] in known:
-                message = f"{message}, of other commands"
+                message = f"{message}, of other commands: {', '.join(self._with(option[1]))}"
             near = None if option[1] in known else closest(option[1], known)
         else:
             near = None
         super().error(message if near is None else f"{message}; did you mean {near}?")
+
+    def _with(self, option: str) -> list[str]:
+        """Returns the commands that have an option."""
+        parts = (a for a in self._actions if isinstance(a, argparse._SubParsersAction))
+        return [n for part in parts for n, of in part.choices.items() if option in of._options()]
 
     def _options(self) -> set[str]:
         """Returns the options of this parser and of its commands."""
