@@ -163,6 +163,12 @@ def waving(found):
         found.GetHoleIndicesAttr().Set([time], time)
 
 
+def offset_normals(stage):
+    shape = UsdSkel.BlendShape.Define(stage, "/Root/it")
+    shape.CreateOffsetsAttr([(0, 0, 1)])
+    shape.CreateNormalOffsetsAttr([(1, 0, 0)])
+
+
 def skinned_cube(stage):
     skinned(UsdGeom.Cube.Define(stage, "/Root/it"))
 
@@ -289,6 +295,7 @@ LOSSES = {
     "cage": (mesh(unsaid), "normals of a mesh without a subdivisionScheme"),
     "normals": (mesh(corner_normals), "normals of face corners"),
     "waves": (mesh(waving), "a shape that deforms stands still"),
+    "bent normals": (offset_normals, "normalOffsets of a BlendShape are not followed"),
     "bones": (skinned_cube, "a skinned shape that is no mesh"),
     "flicker": (mesh(recolored), "primvars that change"),
     "mesh light": (
