@@ -93,7 +93,7 @@ experiments: setup  ## The experiments of docs/experiments.md, in their small fo
 	  echo "== Experiment: $$name"; .venv/bin/python lab/experiments/$$name.py; \
 	done
 
-pictures: setup  ## Render the README's picture, docs/gallery.md, docs/figures.md, light.md, objects.md and assets.md.
+pictures: setup  ## Render the README's picture, docs/gallery.md, light.md, objects.md and assets.md.
 	@set -e; for name in gallery figures lights rocks densities assets; do \
 	  echo "== Rendering: $$name"; .venv/bin/python lab/pages/$$name.py; \
 	done

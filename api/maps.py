@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +57,10 @@ class _Maps(StageExport[SiteFacts]):
 
     def make(self, batch: Batch, folder: Path, tiles: Path) -> tuple[JsonObject, list[str]]:
         facts = self.facts[batch.name]
-        grid = MapGrid.over(facts.area_m, self.asked.cell)
+        asked = replace(self.asked, vehicle=facts.vehicle)
+        if "traversability" in facts.layers:
+            self.options.listener.say(f"{batch.name}: traversability is for {facts.vehicle}")
+        grid = MapGrid.over(facts.area_m, asked.cell)
         units = [self._tile(batch, facts, grid, tile, tiles) for tile in grid.tiles]
         todo = [unit for unit in units if not unit.file.is_file()]
         steps = self.options.listener.steps("mapped", unit="tile")
@@ -75,8 +78,9 @@ class _Maps(StageExport[SiteFacts]):
     def _tile(
         self, batch: Batch, facts: SiteFacts, grid: MapGrid, tile: tuple[int, int], folder: Path
     ) -> MapTile:
+        asked = replace(self.asked, vehicle=facts.vehicle)
         file = folder.absolute() / f"{tile[0]:06d}_{tile[1]:06d}.npz"
-        return MapTile(opening(batch), facts.digest, grid, tile, self.asked, facts.layers, file)
+        return MapTile(opening(batch), facts.digest, grid, tile, asked, facts.layers, file)
 
 
 def _tables(facts: SiteFacts) -> dict[str, Table]:
@@ -90,6 +94,7 @@ def _entry(facts: SiteFacts, grid: MapGrid) -> dict[str, Any]:
     return {
         "stage_digest": facts.digest,
         "grid": asdict(grid),
+        "vehicle": asdict(facts.vehicle),
         "layers": {
             name: dict(zip(("unit", "what"), LAYERS[name.split("_")[0]], strict=True))
             for name in facts.layers
@@ -116,8 +121,8 @@ def map_options(settings: Sequence[str]) -> MapOptions:
         for name, (value, text) in parsed(settings, list(SETTINGS)).items()
     }
     of_vehicle = {one.name for one in fields(Vehicle)} & given.keys()
-    vehicle = Vehicle(**{name: given.pop(name) for name in of_vehicle})
-    return MapOptions(**given, vehicle=vehicle)
+    changes = {name: given.pop(name) for name in sorted(of_vehicle)}
+    return MapOptions(**given, changes=changes)
 
 
 def _value(name: str, value: str, text: str) -> Any:

@@ -226,7 +226,9 @@ class ScanOptions(WorkOptions):
     lidars: Sequence[str] | None = option(
         None, "only these, by name: RIG_LIDAR", form=forms.listed, metavar="A,B,…"
     )
-    ply: bool = option(False, "write clouds of points, too")
+    ply: bool = option(False, "write clouds of points as PLY, too, in the lidar's frame")
+    pcd: bool = option(False, "the same as PCD")
+    las: bool = option(False, "the same as LAS, in the world; needs the extra las")
     allow_missing: bool = option(False, ALLOW_MISSING)
     batches: Collection[int] | None = _span("only batches A to B-1")
 

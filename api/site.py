@@ -35,8 +35,7 @@ def site_of(scene: RenderScene, cells: int, caster: ExactCaster | None = None) -
     west, south, east, north = area = ground_area(scene)
     if not (west < east and south < north):
         return None
-    named = (camera.vehicle for camera in scene.cameras[0]) if scene.cameras else ()
-    vehicle = next(filter(None, named), Vehicle())
+    vehicle = scene.vehicle or Vehicle()
     cell = max(vehicle.cell_m, max(east - west, north - south) / cells)
     layers: tuple[str, ...] = ("height", "slope", "traversability")
     try:

@@ -184,6 +184,7 @@ def scan_output(
 ) -> ScanReport:
     """Scans as ``scan`` does; arguments as of ``render_output``."""
     from scenec.backends.run.scan import scan_output as scan_stages
+    from scenec.schemas.clouds import CLOUDS
 
     own = options if isinstance(options, ScanOptions) else ScanOptions()
     with hire(options, executor, limited=False) as worker:
@@ -192,7 +193,7 @@ def scan_output(
             samples=options.samples,
             batches=getattr(options, "batches", None) if batches is None else batches,
             lidars=own.lidars,
-            ply=own.ply,
+            clouds=[kind for kind in CLOUDS if getattr(own, kind)],
             allow_missing=own.allow_missing,
             progress=options.listener.steps("scan", unit="scan"),
             executor=worker,

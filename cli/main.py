@@ -263,7 +263,7 @@ def parser() -> argparse.ArgumentParser:
     scan = _command(commands, "scan", "scan with the lidars of an output; needs no renderer")
     scan.add_argument("out", metavar="OUT", help="output folder of compile, or a USD file")
     works = ("workers", "cluster", "allow_missing", "batches")
-    add(scan, ScanOptions, "samples", "lidars", "ply", *works)
+    add(scan, ScanOptions, "samples", "lidars", "ply", "pcd", "las", *works)
     add_json(scan)
 
     check = _command(commands, "check", "is the output sound, and do backends agree on it")
@@ -310,8 +310,11 @@ def parser() -> argparse.ArgumentParser:
         _command(commands, "explain", "what each pass cost and erred, what was left out, and why")
     )
 
-    assets = _command(commands, "assets", "models that come with scenec, and the lines for a cfg")
-    assets.add_argument("name", nargs="?", metavar="NAME", help="one of them; left out, all")
+    assets = _command(commands, "assets", "models and cameras that come with scenec, for a cfg")
+    assets.add_argument("name", nargs="?", metavar="NAME", help="one of them; left out, all models")
+    assets.add_argument(
+        "--cameras", action="store_true", help="list the presets of cameras instead"
+    )
     add_json(assets)
 
     doctor = _command(commands, "doctor", "which backends work here, and what to install if not")
@@ -354,11 +357,16 @@ class _Parser(argparse.ArgumentParser):
         elif option := re.search(r"unrecognized arguments: (-[^\s=]+)", message):
             known = self._options()
             if option[1] in known:
-                message = f"{message}, of other commands"
+                message = f"{message}, of other commands: {', '.join(self._with(option[1]))}"
             near = None if option[1] in known else closest(option[1], known)
         else:
             near = None
         super().error(message if near is None else f"{message}; did you mean {near}?")
+
+    def _with(self, option: str) -> list[str]:
+        """Returns the commands that have an option."""
+        parts = (a for a in self._actions if isinstance(a, argparse._SubParsersAction))
+        return [n for part in parts for n, of in part.choices.items() if option in of._options()]
 
     def _options(self) -> set[str]:
         """Returns the options of this parser and of its commands."""

@@ -258,6 +258,7 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
     split_of = assign(there, choice.splits, choice.split_seed, source.outputs.twins())
     names = tuple(choice.splits) or tuple(dict.fromkeys(split_of.values()))
     cameras = one_of_each(source.frames).values()
+    places = source.outputs.georeferences()
     beside = {kind for record in cameras for kind in kinds(record)}
     info = Info(
         name=source.outputs.name,
@@ -267,12 +268,19 @@ def make_plan(out: Path, name: str, folder: Path | str | None, choice: Choice) -
         splits=names,
         options={key: str(value) for key, value in choice.options.items()},
         sky=_sky(source, choice.remap),
+        renumbered={
+            level: {n: choice.remap.number(level, n, old) for n in old[level]}
+            for level in choice.remap.changes
+        },
         filters=tuple(map(str, choice.filters.conditions)),
         beside=tuple(kind for kind in BESIDE if kind in beside),
         anywhere=tuple(dict.fromkeys(p for record in cameras for p in record.passes)),
         imaging=any(map(is_from_sensor, cameras)),
         points=tuple(point.settings for point in source.outputs.points),
         rigs=Rigs(choice.rigs, {name: path.absolute() for name, path in source.stages.items()}),
+        georeferences={
+            ref.batch_name: places[ref.batch] for ref in source.frames if ref.batch in places
+        },
     )
     if folder is None:
         base = out if out.is_dir() else out.parent

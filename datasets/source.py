@@ -371,7 +371,11 @@ class Source:
     def _rendered(self) -> tuple[str, ...]:
         folders = [batch.folder / FRAMES for batch in self._batches]
         names = {p.name for f in folders if f.is_dir() for p in f.iterdir() if p.is_dir()}
-        return pictures_first(names)
+        if len(names) < 2:
+            return tuple(names)
+        # A frame or two that were tried by another renderer are not the dataset.
+        held = {n: sum(1 for f in folders for _ in (f / n).glob("*/*.json")) for n in names}
+        return tuple(sorted(pictures_first(names), key=lambda n: (n == ANNOTATION, -held[n])))
 
     def _choose(self, wanted: str | None) -> str:
         there = self.backends

@@ -85,6 +85,8 @@ class RigState:
         mounts: Path of the prim of a camera or lidar -> its pose on the rig, float64 [4, 4]:
             axes of a camera as the rig's, of a lidar x ahead, y left, z up.
         imus: Of the rig.
+        height_offset_m: What the stage added to the heights of its DEM: above the DEM's datum a
+            place is as high as its z less that.
     """
 
     name: str
@@ -92,3 +94,4 @@ class RigState:
     to_world: NDArray[np.float64]
     mounts: dict[str, NDArray[np.float64]]
     imus: tuple[Imu, ...]
+    height_offset_m: float = 0.0

@@ -28,7 +28,8 @@ MAP_CHANNELS = {
 }
 #: Kinds that hold colors: sRGB but for floating pictures, which are linear.
 COLORS = ("base_color", "emission")
-_LARGEST = 16384
+#: Texels along a side of a picture, at most.
+LARGEST = 16384
 #: Pixels of a picture that is no map, at most: twice the usual limit of Pillow, as it has it.
 MOST_PIXELS = 2 * (1024**3 // 4 // 3)
 
@@ -62,8 +63,8 @@ def read_pixels(path: Path | bytes, alpha: bool = False) -> NDArray:
 
     try:
         with Image.open(io.BytesIO(path) if isinstance(path, bytes) else path) as image:
-            if max(image.size) > _LARGEST:
-                raise ValueError(f"{image.size[0]} x {image.size[1]} pixels: at most {_LARGEST}")
+            if max(image.size) > LARGEST:
+                raise ValueError(f"{image.size[0]} x {image.size[1]} pixels: at most {LARGEST}")
             if is_fine_color(image):
                 return _fine_pixels(path, alpha)
             if alpha and not ("A" in image.getbands() or "transparency" in image.info):

@@ -195,10 +195,18 @@ def _code_of(point: EntryPoint) -> str:
         for root in roots:
             digest.update((digest_of_folder(root) if root.is_dir() else sha256(root)).encode())
         # Other modules that came with it.
+        there = set(roots)
         for name in sorted((point.dist.files if point.dist else None) or (), key=str):
             file = Path(str(name.locate()))
             if name.suffix == ".py" and file.is_file():
                 digest.update(f"{name} {sha256(file)}\n".encode())
+                there |= {file, file.parent}
+        # Of an editable install these are elsewhere, and only their names came with it.
+        listed = (point.dist.read_text("top_level.txt") if point.dist else None) or ""
+        for root in (root for one in sorted(listed.split()) for root in _roots(one)):
+            if root not in there:
+                more = digest_of_folder(root) if root.is_dir() else sha256(root)
+                digest.update(f"{root.name} {more}\n".encode())
         _codes[key] = f" (code {digest.hexdigest()[:_DIGITS]})" if roots else ""
     return _codes[key]
 

@@ -1,4 +1,4 @@
-"""Lidar scans on disk: OUT/batch_0000/scans/<rig>_<lidar>/000000.{npz,json}, and .ply on request.
+"""Lidar scans on disk: OUT/batch_0000/scans/<rig>_<lidar>/000000.{npz,json}; clouds on request.
 
 The npz holds a row a beam and a column an azimuth, from the first of each:
 
@@ -29,7 +29,7 @@ the scan was made from.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scenec.schemas.clouds import CLOUDS
 from scenec.schemas.codec import encode, read_record
 from scenec.schemas.errors import FrameError
 from scenec.schemas.files import NUMPY_FAULTS, atomic, sha256, write_json
@@ -83,25 +84,25 @@ def scan_key(stage_digest: str, scenec: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def is_scanned(stem: Path, key: str, ply: bool = False) -> bool:
+def is_scanned(stem: Path, key: str, clouds: Collection[str] = ()) -> bool:
     """Whether a scan is there, whole as far as its size tells, and made with this key.
 
     Args:
         stem: See ``scan_stem``.
         key: See ``scan_key``.
-        ply: Whether its cloud of points has to be there, too.
+        clouds: Which of ``CLOUDS`` have to be there, too.
     """
     try:
         record = read_record(stem.with_suffix(".json"), ScanRecord, FrameError, _WHAT)
         size = stem.with_suffix(".npz").stat().st_size
         whole = record.resume_key == key and record.npz.bytes == size
-        return whole and (not ply or stem.with_suffix(".ply").is_file())
+        return whole and all(stem.with_suffix(f".{kind}").is_file() for kind in clouds)
     except (OSError, FrameError):
         return False
 
 
 def write_scan(
-    stem: Path, arrays: Mapping[str, NDArray], record: ScanRecord, ply: bool = False
+    stem: Path, arrays: Mapping[str, NDArray], record: ScanRecord, clouds: Collection[str] = ()
 ) -> None:
     """Write a scan, each file by atomic rename, the sidecar last; the same scan, the same bytes.
 
@@ -109,25 +110,26 @@ def write_scan(
         stem: See ``scan_stem``.
         arrays: By name.
         record: What there is to say of it but for its files.
-        ply: Whether to write a cloud of the points as well.
+        clouds: Which of ``CLOUDS`` to write as well.
 
     Raises:
         OutputError: A file cannot be written.
     """
     stem.with_suffix(".json").unlink(missing_ok=True)
-    # A cloud of an earlier scan does not belong to this one.
-    stem.with_suffix(".ply").unlink(missing_ok=True)
+    # Clouds of an earlier scan do not belong to this one.
+    for kind in CLOUDS:
+        stem.with_suffix(f".{kind}").unlink(missing_ok=True)
     path = stem.with_suffix(".npz")
     with atomic(path) as temporary, temporary.open("wb") as file:
         contents: dict[str, Any] = dict(arrays)
         np.savez(file, **contents)
-    if ply:
-        with atomic(stem.with_suffix(".ply")) as temporary:
-            temporary.write_bytes(as_ply(arrays))
+    for kind in sorted(clouds):
+        with atomic(stem.with_suffix(f".{kind}")) as temporary:
+            temporary.write_bytes(CLOUDS[kind](arrays, record))
     record = replace(
         record,
         npz=FileDigest(bytes=path.stat().st_size, sha256=sha256(path)),
-        ply=ply,
+        ply="ply" in clouds,
     )
     version, order = SCAN_VERSION, CONVENTIONS["order"]
     if np.ndim(arrays.get("elevation_deg", ())) == 2:
@@ -149,7 +151,7 @@ def read_scan(path: Path) -> Scan:
     Raises:
         FrameError: Something is missing, changed since, or no scan.
     """
-    stem = path.with_suffix("") if path.suffix in (".npz", ".json", ".ply") else path
+    stem = path.with_suffix("") if path.suffix[1:] in ("npz", "json", *CLOUDS) else path
     json_path, npz_path = stem.with_suffix(".json"), stem.with_suffix(".npz")
     try:
         sidecar = read_record(json_path, ScanRecord, FrameError, _WHAT)
@@ -162,35 +164,3 @@ def read_scan(path: Path) -> Scan:
             return Scan(json_path, {name: stored[name] for name in stored.files}, sidecar)
     except NUMPY_FAULTS as error:
         raise FrameError(f"{npz_path}: cannot be read: {error}") from error
-
-
-def as_ply(arrays: Mapping[str, NDArray]) -> bytes:
-    """The answers as a binary PLY: x, y, z, range, incidence, ids, beam and column.
-
-    Of lidars that tell them also intensity, and the return (from 1) and how many its beam has.
-    """
-    there = np.isfinite(arrays["range"])
-    beam, column = np.nonzero(there)[:2]
-    names = [name for name in arrays if name.startswith("label.")]
-    fields: list[tuple[str, str, NDArray]] = [
-        *((axis, "float", arrays["points"][there][:, i]) for i, axis in enumerate("xyz")),
-        ("range", "float", arrays["range"][there]),
-        ("incidence", "float", arrays["incidence"][there]),
-        *((name.replace(".", "_"), "uint", arrays[name][there]) for name in (*names, "instance")),
-        ("beam", "uint", beam),
-        ("column", "uint", column),
-    ]
-    if "intensity" in arrays:
-        fields.insert(5, ("intensity", "float", arrays["intensity"][there]))
-    if there.ndim == 3:
-        number = there.cumsum(axis=2)
-        many = np.broadcast_to(number[..., -1:], there.shape)
-        fields += [("return", "uint", number[there]), ("returns", "uint", many[there])]
-    types = {"float": "<f4", "uint": "<u4"}
-    table = np.empty(int(there.sum()), [(name, types[kind]) for name, kind, _ in fields])
-    for name, _, values in fields:
-        table[name] = values
-    head = "ply\nformat binary_little_endian 1.0\ncomment made by scenec\n"
-    head += f"element vertex {len(table)}\n"
-    head += "".join(f"property {kind} {name}\n" for name, kind, _ in fields)
-    return f"{head}end_header\n".encode() + table.tobytes()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -53,7 +53,9 @@ class MapOptions:
         sample: Time code at which things and the sun stand where they are.
         sun_rays: Rays over the sun's disc at each place; 1 is its center.
         layers: Names of ``LAYERS``.
-        vehicle: Whom traversability is for.
+        vehicle: Whom traversability is for; None: the first that a camera of the stage names, or
+            the default one.
+        changes: What is another in that one, by its fields.
     """
 
     cell_m: float | None = None
@@ -61,7 +63,8 @@ class MapOptions:
     sample: int = 0
     sun_rays: int = 1
     layers: tuple[str, ...] = tuple(LAYERS)
-    vehicle: Vehicle = field(default_factory=Vehicle)
+    vehicle: Vehicle | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Checks its values.
@@ -76,13 +79,22 @@ class MapOptions:
             raise OutputError(f"sun_rays={self.sun_rays}: expected a number from 1 to 4096")
         if not self.cell > 0.0:
             raise OutputError(f"cell_m={self.cell:g}: expected a number above 0")
-        if set(self.layers) & set(UNDER_VEHICLE):
-            self.vehicle.disc(self.cell)
+        vehicle = self.for_vehicle()
+        if self.vehicle is not None and set(self.layers) & set(UNDER_VEHICLE):
+            vehicle.disc(self.cell)
 
     @property
     def cell(self) -> float:
         """Side of a cell, meters."""
-        return self.vehicle.cell_m if self.cell_m is None else self.cell_m
+        return self.for_vehicle().cell_m if self.cell_m is None else self.cell_m
+
+    def for_vehicle(self, named: Vehicle | None = None) -> Vehicle:
+        """Returns whom traversability is for, on a stage that names one or none.
+
+        Raises:
+            OutputError: One of the changes makes no sense.
+        """
+        return self.vehicle or replace(named or Vehicle(), **self.changes)
 
 
 @dataclass(frozen=True)
@@ -161,6 +173,7 @@ class SiteFacts:
         losses: A line for each thing in the stage that was not read.
         place: Where the stage lies; None: it does not say.
         craters: Places, diameters, depths, ages; empty where the stage tells of none.
+        vehicle: Whom traversability is for.
     """
 
     digest: str
@@ -173,3 +186,4 @@ class SiteFacts:
     losses: tuple[str, ...]
     place: Georeference | None = None
     craters: Table = field(default_factory=dict)
+    vehicle: Vehicle = field(default_factory=Vehicle)

@@ -62,6 +62,13 @@ class Vehicle:
                     f"{one.name}={value:g}: expected a number above 0, up to {limit:g}"
                 )
 
+    def __str__(self) -> str:
+        """As a line on the screen has it."""
+        return (
+            f"a vehicle of {self.wheel_base_m:g} m that climbs steps of {self.step_m:g} m and "
+            f"slopes of {self.slope_deg:g}°"
+        )
+
     @property
     def cell_m(self) -> float:
         """Side of the cells that the ground under it is looked at in, if nobody says another."""

@@ -54,7 +54,8 @@ def map_tile(
     caster.pose(options.sample)
     shape = grid.extent(tile)
     under = [name for name in layers if name in UNDER_VEHICLE]
-    border = options.vehicle.reach(grid.cell_m) if under else 0
+    vehicle = options.for_vehicle()
+    border = vehicle.reach(grid.cell_m) if under else 0
     wide = shape[0] + 2 * border, shape[1] + 2 * border
     x, y = grid.centers((tile[0] - border, tile[1] - border), wide)
     rays, hits = look_down(scene, caster, np.tile(x, wide[0]), np.repeat(y, wide[1]))
@@ -66,10 +67,10 @@ def map_tile(
     view = View(scene, options.sample, hits, lambda: rays)
     made: dict[str, NDArray] = {}
     if under:
-        ground = ground_under(heights[None], grid.cell_m, options.vehicle)
+        ground = ground_under(heights[None], grid.cell_m, vehicle)
         made = {name: getattr(ground, name)[0] for name in under if name != "traversability"}
         if "traversability" in under:
-            made["traversability"] = ground.classes(options.vehicle)[0]
+            made["traversability"] = ground.classes(vehicle)[0]
     if "height" in layers:
         made["height"] = heights.ravel()[inner]
     if "slope" in layers:

@@ -8,6 +8,7 @@ holds against it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -47,6 +48,13 @@ _SURFACE_RANGES = {
 
 #: Errors of UsdValidation about a stage that is not whole.
 NOT_WHOLE = ("CompositionError", "UnresolvableDependency")
+
+#: Modules that Omniverse finds in its own library: what they say is read from the prim.
+_MDL = "info:mdl:sourceAsset"
+#: What UsdValidation, which knows nothing of MDL, says of them.
+_OF_MDL = re.compile(
+    r"sourceType 'mdl' .* not found in sdrRegistry|unresolvable external dependency '[^']*\.mdl'"
+)
 
 Rule = Callable[[Usd.Prim, LabelTable], Iterator[str]]
 
@@ -123,7 +131,7 @@ def _assets(stage: Usd.Stage) -> Iterator[str]:
                     continue
                 if Path(asset.path).is_absolute():
                     yield f"{attribute.GetPath()} is the absolute path {asset.path}"
-                if not asset.resolvedPath:
+                if not asset.resolvedPath and attribute.GetName() != _MDL:
                     yield f"{attribute.GetPath()}: {asset.path} does not exist"
     for layer in stage.GetUsedLayers():
         for sublayer in layer.subLayerPaths:
@@ -400,6 +408,8 @@ def _usd_validation(stage: Usd.Stage) -> Iterator[Finding]:
             if site.IsProperty() or site.IsPrim()
         ]
         if error.GetName() == "MissingShaderIdInRegistry" and prims and _is_our_materialx(prims[0]):
+            continue
+        if _OF_MDL.search(" ".join(error.GetMessage().split())):
             continue
         severe = error.GetType() == UsdValidation.ValidationErrorType.Error
         yield Finding(

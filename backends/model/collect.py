@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,11 @@ from scenec.backends.model.simplify import simplify
 from scenec.backends.stage.scene import Mesh, Reading, RenderScene, Surface
 from scenec.backends.surface.corners import vertex_color
 from scenec.backends.surface.gobo import mean_passed
+from scenec.backends.surface.maps import map_values
 from scenec.backends.surface.pictures import has_maps
 from scenec.schemas import stage as names
 from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.schemas.picture import srgb_bytes
 
 #: Triangles that a prototype keeps however little room there is.
 _LEAST_FACES = 24
@@ -332,12 +335,15 @@ def _largest(
 
 def _look(surface: Surface, name: str) -> Look:
     """Reduces a surface to what other formats have: a picture only in sRGB, times a color."""
+    picture: Path | NDArray[np.uint8] | None
     picture, color = None, np.array(surface.base_color)
     if surface.maps is not None and has_maps(surface.maps, "base_color"):
         reading = dict(surface.maps.readings).get("base_color", Reading())
         picture = surface.maps.base_color
         plain = reading.srgb is not False and not any(reading.bias)
-        if picture is not None and plain and picture.suffix.lower() in _PICTURES:
+        if reading.tiles != (1, 1):
+            picture = srgb_bytes(map_values(surface.maps, "base_color"))
+        elif picture is not None and plain and picture.suffix.lower() in _PICTURES:
             color = color * reading.scale
         else:
             picture, color = None, mean_color(surface)

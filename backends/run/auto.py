@@ -80,7 +80,7 @@ def quickest(works: Callable[[str, bool], bool]) -> Quickest:
     On two cores pyrender draws a 640 x 480 picture of the demo in 1.2 CPU s (load 0.8), Mitsuba 4
     samples and their denoising in 4.2 (load 1.6), which come closer to the light (FLIP 0.037 in
     place of 0.060). On an H100, with 16 samples, first and further frames took 4.2 and 0.21 s in
-    pyrender, 4.5 and 0.25 in Mitsuba (docs/gpu.md): a GPU does not change the order.
+    pyrender, 4.5 and 0.25 in Mitsuba (docs/backends.md): a GPU does not change the order.
 
     Args:
         works: Whether a backend, by its name, starts here, and can denoise if that is asked.

@@ -81,6 +81,7 @@ def _facts(session: Session, options: MapOptions) -> SiteFacts:
         losses=scene.losses,
         place=scene.georeference,
         craters=craters_table(scene, session.caster(trees=False), sample, area),
+        vehicle=options.for_vehicle(scene.vehicle),
     )
 
 

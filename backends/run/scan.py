@@ -45,11 +45,11 @@ class ScanLidar(MakeFile):
 
     Attributes:
         digest: Of the stage.
-        ply: Whether to write a cloud of points beside the arrays.
+        clouds: Clouds of points to write beside the arrays, of ``schemas.clouds.CLOUDS``.
     """
 
     digest: str
-    ply: bool
+    clouds: tuple[str, ...]
 
     @property
     def key(self) -> str:
@@ -57,8 +57,8 @@ class ScanLidar(MakeFile):
         return scan_key(self.digest, version_of())
 
     def is_done(self) -> bool:
-        """Tells whether it is there, with its cloud if that is asked for."""
-        return is_scanned(self.stem, self.key, self.ply)
+        """Tells whether it is there, with its clouds that are asked for."""
+        return is_scanned(self.stem, self.key, self.clouds)
 
     def run(self, keeper: Keeper) -> UnitResult:
         """Casts its rays and writes it.
@@ -80,7 +80,7 @@ class ScanLidar(MakeFile):
             arrays = scan(scene, caster, lidar, self.sample)
             scanned = time.perf_counter()
             sidecar = _sidecar(scene, lidar, self.sample, self.key)
-            write_scan(self.stem, arrays, sidecar, self.ply)
+            write_scan(self.stem, arrays, sidecar, self.clouds)
             seconds |= {"scan": scanned - start, "write": time.perf_counter() - scanned}
         return UnitResult(now=True, seconds=seconds, text=f"{sum(seconds.values()):.2f} s")
 
@@ -91,7 +91,7 @@ def scan_output(
     samples: Collection[int] | None = None,
     batches: Collection[int] | None = None,
     lidars: Collection[str] | None = None,
-    ply: bool = False,
+    clouds: Collection[str] = (),
     allow_missing: bool = False,
     progress: Progress | None = None,
     executor: Executor | None = None,
@@ -107,7 +107,7 @@ def scan_output(
         samples: Only these time codes.
         batches: Only these batches.
         lidars: Only these, by name (``<rig>_<lidar>``).
-        ply: Whether to write clouds of points beside the arrays.
+        clouds: Which clouds of points to write beside the arrays (``schemas.clouds.CLOUDS``).
         allow_missing: Whether to scan what is there of a stage that is not whole; sidecars then say
             what was missing, under ``losses``.
         progress: Called after each scan.
@@ -131,7 +131,8 @@ def scan_output(
             for of in found
         }
         run = _Scan(openings, report, progress)
-        run.samples, run.ply, run.counts_strays, run.names = samples, ply, out.is_dir(), set()
+        run.samples, run.clouds, run.counts_strays = samples, tuple(clouds), out.is_dir()
+        run.names = set()
         run.wanted = lambda sample, name: (
             (samples is None or sample in samples) and (lidars is None or name in lidars)
         )
@@ -148,14 +149,14 @@ class _Scan(BatchRun):
 
     Attributes:
         wanted: Whether a sample's scan by a lidar of this name is asked for.
-        samples, ply: As of ``scan_output``.
+        samples, clouds: As of ``scan_output``.
         counts_strays: Whether scans of an earlier stage are looked for.
         names: Of all lidars of the stages.
     """
 
     wanted: Callable[[int, str], bool]
     samples: Collection[int] | None
-    ply: bool
+    clouds: tuple[str, ...]
     counts_strays: bool
     names: set[str]
 
@@ -179,7 +180,7 @@ class _Scan(BatchRun):
                 inside(batch.folder, stem.relative_to(batch.folder).as_posix(), "the stage")
                 what = f"{batch.folder.name}/{name}/{sample:06d}"
                 place = stem.absolute(), name, number, sample
-                found.append(ScanLidar(holds, what, *place, opened.digest, self.ply))
+                found.append(ScanLidar(holds, what, *place, opened.digest, self.clouds))
         return found
 
     def begin(self, batch: Batch, opened: Opened, files: Sequence[MakeFile]) -> Iterable[Unit]:

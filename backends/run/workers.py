@@ -15,7 +15,7 @@ from scenec.schemas.passes import ANNOTATION_NAMES
 
 #: Cores that one process keeps busy: where it casts annotation alone, and where it draws, too.
 CORES_ANNOTATING, CORES_DRAWING = 2, 8
-#: Bytes that one holds of the machine, and of a GPU that draws the demo (docs/gpu.md).
+#: Bytes that one holds of the machine, and of a GPU that draws the demo (docs/backends.md).
 HOST, OF_GPU = int(1.0 * GB), int(2.8 * GB)
 #: Devices that are no GPU.
 _NO_GPU = ("cpu", "auto")

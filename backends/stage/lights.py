@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,24 +125,20 @@ def _solar_times(prim: Usd.Prim, times: list[Usd.TimeCode]) -> list[SolarTime | 
     Raises:
         StageError: A value is none.
     """
-    found = {
-        field: (prim.GetAttribute(name), kind)
-        for field, (name, kind) in names.SOLAR_TIME.items()
-        if prim.HasAttribute(name)
-    }
-    if not {"body", "time_utc", "solar_time_h", "mean_solar_time_h"} <= found.keys():
+    of = {field: prim.GetAttribute(name) for field, (name, _) in names.SOLAR_TIME.items()}
+    ls = of.pop("ls_deg")
+    if not all(of.values()):
         return [None] * len(times)
-
-    def read(time: Usd.TimeCode) -> SolarTime:
-        fields: dict[str, Any] = {
-            field: values.number(attribute, 0.0, time)
-            if kind == "Double"
-            else values.word(attribute, "", time)
-            for field, (attribute, kind) in found.items()
-        }
-        return SolarTime(**fields)
-
-    return [read(time) for time in times]
+    return [
+        SolarTime(
+            body=values.word(of["body"], "", time),
+            time_utc=values.word(of["time_utc"], "", time),
+            solar_time_h=values.number(of["solar_time_h"], 0.0, time),
+            mean_solar_time_h=values.number(of["mean_solar_time_h"], 0.0, time),
+            ls_deg=values.number(ls, 0.0, time) if ls else None,
+        )
+        for time in times
+    ]
 
 
 def _gobos(

@@ -11,6 +11,7 @@ import importlib
 import math
 import os
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from scenec.backends.stage.materialx_nodes import (
 from scenec.schemas.errors import StageError
 from scenec.schemas.packages import as_file
 from scenec.schemas.stage import LOSSES
+from scenec.schemas.udim import is_tiled, tiles_of
 
 _ROOT = "/MaterialX"
 _TYPES = Sdf.ValueTypeNames
@@ -291,7 +293,9 @@ def _picture(beside: str, file: Any) -> str:
     candidates = [f"{file.getActiveFilePrefix()}{own}", own]
     paths = [Sdf.ComputeAssetPathRelativeToLayer(Sdf.Layer.CreateAnonymous(), c) if
              os.path.isabs(c) else _joined(beside, c) for c in candidates]  # fmt: skip
-    return next((path for path in paths if Ar.GetResolver().Resolve(path)), paths[-1])
+    tiled = (path for path in paths if is_tiled(path) and tiles_of(Path(path)))
+    plain = (path for path in paths if Ar.GetResolver().Resolve(path))
+    return next(chain(plain, tiled), paths[-1])
 
 
 def _joined(beside: str, relative: str) -> str:

@@ -57,7 +57,7 @@ _TYPES = {
 
 
 @dataclass(frozen=True)
-class _Default:
+class _UnauthoredInput:
     """An input that is not authored."""
 
     name: str
@@ -76,7 +76,7 @@ class _Default:
 
 
 @dataclass(frozen=True)
-class _Port:
+class _ShaderPort:
     """An input, as a port of MaterialX: what it stands for through graphs and interfaces."""
 
     name: str
@@ -100,9 +100,9 @@ class _Port:
     def getActiveColorSpace(self) -> str:  # noqa: N802
         return str(self.attribute.GetColorSpace() if self.attribute.HasColorSpace() else "")
 
-    def getConnectedNode(self) -> _Node | None:  # noqa: N802
+    def getConnectedNode(self) -> _ShaderNode | None:  # noqa: N802
         shader = UsdShade.Shader(self.attribute.GetPrim())
-        return _Node(shader) if UsdShade.Output.IsOutput(self.attribute) and shader else None
+        return _ShaderNode(shader) if UsdShade.Output.IsOutput(self.attribute) and shader else None
 
     def getOutputString(self) -> str:  # noqa: N802
         return str(self.attribute.GetName().removeprefix("outputs:"))
@@ -122,7 +122,7 @@ class _Port:
 
 
 @dataclass(frozen=True)
-class _Node:
+class _ShaderNode:
     """A shader, as a node of MaterialX."""
 
     shader: UsdShade.Shader
@@ -142,23 +142,23 @@ class _Node:
         outputs = self.shader.GetOutputs()
         return _TYPES.get(str(outputs[0].GetTypeName()), "") if len(outputs) == 1 else ""
 
-    def getInput(self, name: str) -> _Port | None:  # noqa: N802
+    def getInput(self, name: str) -> _ShaderPort | None:  # noqa: N802
         found = self.shader.GetInput(name)
         producing = found.GetValueProducingAttributes() if found else ()
-        return _Port(name, producing[0]) if producing else None
+        return _ShaderPort(name, producing[0]) if producing else None
 
-    def getInputs(self) -> list[_Port]:  # noqa: N802
+    def getInputs(self) -> list[_ShaderPort]:  # noqa: N802
         """Those that say something of what is not read."""
         own = [self.getInput(str(found.GetBaseName())) for found in self.shader.GetInputs()]
         heard = [port for port in own if port is not None and port.name in _WEIGHTS]
         return [p for p in heard if p.getConnectedNode() or p.getValueString().strip("0. ")]
 
-    def getNodeDef(self) -> _Node:  # noqa: N802
+    def getNodeDef(self) -> _ShaderNode:  # noqa: N802
         return self
 
     def getActiveInput(self, name: str) -> Any:  # noqa: N802
         """What an input is where it is not authored."""
-        return _Default(name, _DEFAULTS.get(self.getCategory(), {}).get(name, "0"))
+        return _UnauthoredInput(name, _DEFAULTS.get(self.getCategory(), {}).get(name, "0"))
 
 
 def preview_networks(stage: Usd.Stage) -> None:
@@ -196,7 +196,7 @@ def _preview(material: UsdShade.Material) -> None:
     shader = _surface(material)
     if shader is None:
         return
-    node = _Node(shader)
+    node = _ShaderNode(shader)
     if node.getCategory() not in MODELS:
         return
     prim = material.GetPrim()

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+from scenec.schemas.udim import UDIM
+
 _IMAGES = (
     *("image", "tiledimage", "UsdUVTexture"),
     *("gltf_image", "gltf_colorimage", "gltf_normalmap"),
@@ -182,7 +184,8 @@ def _image(node: Any, output: str) -> NodeValue:
     channel = {"r": "r", "g": "g", "b": "b", "a": "a", "outa": "a"}.get(output, "rgb")
     if node.getType() == "float":
         channel = "r"
-    if node.getInput("file") is None or "<" in source_of(node.getInput("file"))[0].getValueString():
+    file = node.getInput("file")
+    if file is None or "<" in source_of(file)[0].getValueString().replace(UDIM, ""):
         raise UnreadNodeError(f"the file, or the tiles, of the node {node.getName()}")
     placing(node)
     value = NodeValue(image=node, channel="rgb")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,12 @@ def read_rigs(path: Path | str) -> tuple[RigState, ...]:
         frame, codes = StageFrame.of(stage), time_codes(stage)
         times = sample_times(stage, codes)
         rigs = [p for p in scope.GetChildren() if UsdGeom.Xformable(p)]
-        return tuple(_rig(prim, frame, codes, times) for prim in rigs)
+        lifted = values.number(
+            stage.GetPrimAtPath(names.ROOT).GetAttribute(names.ATTR_GEOREFERENCE_HEIGHT_OFFSET), 0.0
+        )
+        return tuple(
+            replace(_rig(prim, frame, codes, times), height_offset_m=lifted) for prim in rigs
+        )
 
 
 def _rig(

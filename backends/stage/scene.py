@@ -40,12 +40,15 @@ class Reading:
         channel: "r", "g", "b" or "a": where a single number stands.
         srgb: Whether they are in sRGB's transfer function; None: as ``Maps`` says.
         scale, bias: value * scale + bias is what is meant; of each channel, [3].
+        tiles: Columns and rows of UDIM tiles that the material's texture coordinates span, which
+            ``Maps.uv_transform`` brings into the unit square: a picture that is no tile repeats.
     """
 
     channel: str = "r"
     srgb: bool | None = None
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tiles: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
@@ -600,6 +603,12 @@ class RenderScene:
     def cutout_of(self, mesh: Mesh) -> Maps | None:
         """Returns the maps whose opacity cuts parts of a mesh out: its only surface's, or None."""
         return self.surfaces[mesh.layers[0]].cutout if len(mesh.layers) == 1 else None
+
+    @property
+    def vehicle(self) -> Vehicle | None:
+        """The first vehicle that a camera rides on."""
+        named = (camera.vehicle for camera in self.cameras[0]) if self.cameras else ()
+        return next(filter(None, named), None)
 
     @property
     def has_cutouts(self) -> bool:

@@ -20,6 +20,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.manifest import MANIFEST, digest_of_files, files_of_stage
 from scenec.schemas.native import commentary, native_reading
 from scenec.schemas.omnipbr import as_preview_surface
+from scenec.schemas.udim import is_tiled, tiles_of
 
 #: Lines of one error.
 _MOST_LINES = 8
@@ -139,6 +140,8 @@ class Sources:
         asset = values.asset(attribute, time)
         if asset is None:
             return None
+        if is_tiled(asset.path):
+            return self._tiles(attribute, asset.path, time)
         # Every mesh asks for the maps of its materials again.
         if asset.resolvedPath in self._pictures:
             return self._pictures[asset.resolvedPath]
@@ -148,6 +151,18 @@ class Sources:
             return None
         file = self._pictures[asset.resolvedPath] = Path(asset.resolvedPath)
         self._beside.add(_package(asset.resolvedPath))
+        return file
+
+    def _tiles(self, attribute: Usd.Attribute, path: str, time: Usd.TimeCode) -> Path | None:
+        """The path of UDIM tiles, of which at least one is there; relative to where it stands."""
+        specs = attribute.GetPropertyStack(time)
+        layer = next((spec.layer for spec in specs if spec.HasInfo("default")), specs[0].layer)
+        file = Path(layer.ComputeAbsolutePath(path))
+        tiles = tiles_of(file)
+        if not tiles:
+            self.miss(f"{attribute.GetPath()}: {path} has no tiles")
+            return None
+        self._beside.update(map(str, tiles.values()))
         return file
 
     def translated(self, material: UsdShade.Material) -> UsdShade.Material:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from pxr import Usd, UsdShade
@@ -12,6 +13,7 @@ from scenec.backends.stage.scene import Maps, Reading
 from scenec.backends.stage.sources import Sources
 from scenec.schemas import stage as names
 from scenec.schemas.maps import COLORS
+from scenec.schemas.udim import grid_of
 
 #: Of a value that changes, the first.
 FIRST = Usd.TimeCode.EarliestTime()
@@ -54,7 +56,7 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
             be.
     """
     files: dict[str, Any] = {}
-    readings: list[tuple[str, Reading]] = []
+    readings: dict[str, Reading] = {}
     coordinates: _TextureUv | None = None
     flip_green = False
     wrap = ("repeat", "repeat")
@@ -76,20 +78,23 @@ def texture_maps(shader: UsdShade.Shader, specular: bool, sources: Sources) -> M
             # Scale and bias say how 8 bits hold [-1, 1], and so which way y is.
             flip_green = _numbers(texture, "scale", (1.0, 1.0, 1.0))[1] < 0.0
         else:
-            reading = _reading(texture, kind, _CHANNELS[output])
-            if reading != Reading():
-                readings.append((kind, reading))
+            readings[kind] = _reading(texture, kind, _CHANNELS[output])
         if kind == "opacity":
             wrap = (_wrap(texture, "wrapS"), _wrap(texture, "wrapT"))
     if not files or coordinates is None:
         return None
+    transform = coordinates.transform
+    columns, rows = tiles = grid_of(files.values())
+    if tiles != (1, 1):
+        readings = {kind: replace(readings.get(kind, Reading()), tiles=tiles) for kind in files}
+        transform = _after((1.0 / columns, 0.0, 0.0, 0.0, 1.0 / rows, 0.0), transform)
     return Maps(
         size_m=1.0,
         flip_green=flip_green,
         projection="uv",
-        readings=tuple(readings),
+        readings=tuple((k, reading) for k, reading in readings.items() if reading != Reading()),
         primvar=coordinates.primvar,
-        uv_transform=coordinates.transform,
+        uv_transform=transform,
         opacity_threshold=opacity_threshold(shader)[0] if "opacity" in files else 0.0,
         opacity_wrap=wrap,
         **files,

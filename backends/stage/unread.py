@@ -12,7 +12,7 @@ import re
 from collections.abc import Collection
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux, UsdRender, UsdSemantics, UsdShade, UsdSkel
 
 from scenec.backends.stage import values
 from scenec.backends.stage.deforming import is_skinned
@@ -185,6 +185,9 @@ class Unread:
             self._light(prim, kind, in_prototype)
         elif kind == "Camera" and in_prototype:
             self.add("a camera in the prototype of an instancer is not rendered", prim)
+        elif kind == "BlendShape":
+            if len(UsdSkel.BlendShape(prim).GetNormalOffsetsAttr().Get() or ()):
+                self.add("normalOffsets of a BlendShape are not followed", prim)
         elif kind == "RenderProduct":
             self._attributes(prim, kind)
         elif kind == "RenderSettings":

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenec.backends.stage.scene import Maps, Mesh, Reading
-from scenec.schemas import maps
+from scenec.schemas import maps, udim
 from scenec.schemas.errors import StageError
-from scenec.schemas.files import once_per_file
+from scenec.schemas.files import Stamp, once_per_file, stamp
 from scenec.schemas.packages import file_around
 
 _PLAIN = Reading()
+#: What a map is where UDIM has no tile: black, dull, even, solid.
+_NO_TILE = {"normal": (0.0, 0.0, 1.0), "roughness": (1.0,), "opacity": (1.0,)}
 
 
 def map_file(described: Maps, kind: str) -> Path | None:
@@ -46,7 +50,11 @@ def map_values(described: Maps, kind: str) -> NDArray[np.float32]:
 
 def map_mean(described: Maps, kind: str) -> NDArray[np.float64]:
     """Mean of a map over its picture, [1 or 3]."""
-    return _mean(*map_source(described, kind))
+    path, kind, flip_green, reading = map_source(described, kind)
+    if reading.tiles == (1, 1):
+        return _mean(path, kind, flip_green, reading)
+    mean: NDArray[np.float64] = map_values(described, kind).mean(axis=(0, 1), dtype=np.float64)
+    return mean
 
 
 @once_per_file(most=64)
@@ -57,7 +65,6 @@ def _mean(path: Path, kind: str, flip_green: bool, reading: Reading) -> NDArray[
     return mean
 
 
-@once_per_file(most=32)
 def load_map(
     path: Path, kind: str, flip_green: bool = False, reading: Reading = _PLAIN
 ) -> NDArray[np.float32]:
@@ -76,6 +83,36 @@ def load_map(
     Raises:
         StageError: The file is missing, or no picture of the kinds that are taken.
     """
+    if reading.tiles == (1, 1):
+        return _loaded(path, kind, flip_green, reading)
+    one = replace(reading, tiles=(1, 1))
+    if not udim.is_tiled(path):
+        return np.tile(_loaded(path, kind, flip_green, one), (*reading.tiles[::-1], 1))
+    found = udim.tiles_of(path)
+    if not found:
+        raise StageError(f"{path}: no tile of the map is there")
+    stamps = tuple(stamp(file) for file in found.values())
+    return _atlas(path, kind, flip_green, reading, stamps)
+
+
+@lru_cache(maxsize=8)
+def _atlas(
+    path: Path, kind: str, flip_green: bool, reading: Reading, _stamps: tuple[Stamp, ...]
+) -> NDArray[np.float32]:
+    one = replace(reading, tiles=(1, 1))
+    tiles = {
+        place: _loaded(file, kind, flip_green, one) for place, file in udim.tiles_of(path).items()
+    }
+    try:
+        values = udim.joined(tiles, reading.tiles, _NO_TILE.get(kind, (0.0, 0.0, 0.0)))
+    except ValueError as error:
+        raise StageError(f"{path}: {error}") from error
+    values.setflags(write=False)
+    return values
+
+
+@once_per_file(most=32)
+def _loaded(path: Path, kind: str, flip_green: bool, reading: Reading) -> NDArray[np.float32]:
     if not file_around(path).is_file():
         raise StageError(f"{path}: the map is missing")
     try:

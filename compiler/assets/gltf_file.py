@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scenec.compiler.assets.gltf_packed import DRACO, MESHOPT, unpacked_mesh, unpacked_view
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion
+from scenec.schemas.codec import JsonObject
 
 _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -103,7 +104,7 @@ class GltfFile:
                 self._left += _MOST_SHARED * len(self._views[index])
         return self._views[index]
 
-    def unpack(self, primitive: dict[str, Any]) -> None:
+    def unpack(self, primitive: JsonObject) -> None:
         """Has ``values`` give those of a primitive that are compressed by Draco."""
         packed = primitive.get("extensions", {}).get(DRACO)
         if packed is None:

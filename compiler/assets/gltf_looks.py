@@ -11,6 +11,7 @@ from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, embedded
 from scenec.compiler.geometry import affine
 from scenec.compiler.scene.material import Cutout
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.stage import OPACITY_THRESHOLD
 
 _REPEAT = 10497
@@ -41,7 +42,7 @@ class GltfLooks:
             self.known.append(self._look(self._file.document["materials"][index]))
         return self._numbers[index]
 
-    def sees_alpha(self, primitive: dict[str, Any]) -> bool:
+    def sees_alpha(self, primitive: JsonObject) -> bool:
         """Whether a primitive's material is not opaque, whatever its vertices' alpha."""
         if "material" not in primitive:
             return False

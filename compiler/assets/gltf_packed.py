@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.compiler.assets.parts import MeshFileError
+from scenec.schemas.codec import JsonObject
 from scenec.schemas.extras import install
 
 DRACO = "KHR_draco_mesh_compression"
@@ -19,7 +19,7 @@ MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _MOST_PACKED = 1024
 
 
-def unpacked_view(packed: bytes, meshopt: Mapping[str, Any]) -> bytes:
+def unpacked_view(packed: bytes, meshopt: JsonObject) -> bytes:
     """Returns the bytes that a view compressed by meshoptimizer stands for.
 
     Args:

@@ -81,10 +81,7 @@ class TextureSet:
 
     def unpacked(self, given: frozenset[str] = frozenset()) -> tuple[str, ...]:
         """Kinds that the packed picture is used for, beside those that have their own."""
-        if "packed" not in self.files:
-            return ()
-        there = _with_same({*self.files, *given})
-        return tuple(kind for kind in PACKED if kind not in there)
+        return unpacked({*self.files, *given})
 
 
 def read_texture_set(folder: Path, given: frozenset[str] = frozenset()) -> TextureSet:
@@ -156,6 +153,12 @@ def recognize(names: Iterable[str], given: frozenset[str] = frozenset()) -> Text
     if "packed" in files and not made.unpacked(given):
         unused.append(files.pop("packed"))
     return TextureSet(files, convention, tuple(sorted(unused)), tuple(sorted(unknown)))
+
+
+def unpacked(there: Iterable[str]) -> tuple[str, ...]:
+    """Kinds that a packed picture is used for, of all kinds that there are; none without it."""
+    kinds = _with_same(set(there))
+    return tuple(kind for kind in PACKED if "packed" in kinds and kind not in kinds)
 
 
 def _with_same(kinds: set[str]) -> set[str]:

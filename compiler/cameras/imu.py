@@ -138,11 +138,11 @@ def _why_rough(pose: Node, node: Node) -> str:
             return "a track without sampling is its poses alone: expected sampling, and the " \
                    'interpolation "spline"'  # fmt: skip
         if method != "spline":
-            return f'a track whose interpolation is {shown(method)} has such: expected "spline"'
+            return f'a track whose interpolation is {shown(method)} jumps: expected "spline"'
         if pose["heights"] == "ground":
             return "the ground's faces have edges: expected heights over the world"
         if pose["gaps"] == "hold":
-            return 'a track that is held in gaps has such: expected gaps to be "error"'
+            return 'a track that is held in gaps jumps: expected gaps to be "error"'
     elif kind == "mav":
         if pose["tilt"]:
             return "a mav with tilt turns with its acceleration, whose slope has jumps: expected " \
@@ -151,6 +151,7 @@ def _why_rough(pose: Node, node: Node) -> str:
             return "a mav turns along its way, with angular accelerations that have jumps, which " \
                    "are felt beside the rig's origin: expected no mount.position_m"  # fmt: skip
     elif kind in ("lawn_mower", "rover", "random", "random_target"):
-        return f"a pose of the type {shown(kind)} has such: expected {', '.join(_SMOOTH)}, or a " \
+        return f"a pose of the type {shown(kind)} jumps: expected {', '.join(_SMOOTH)} (for a " \
+               "rover a mav at the height of its mast), or a " \
                'track with the interpolation "spline"'  # fmt: skip
     return ""

@@ -21,8 +21,8 @@ from scenec.compiler.materials.values import (
 from scenec.compiler.scene.material import ImageFile, Material
 from scenec.schemas.maps import MAP_CHANNELS
 
-#: Channel of each kind in a packed picture.
-_CHANNELS = {"ambient_occlusion": 0, "roughness": 1, "metallic": 2}
+#: Letters of kinds in the order of a packed picture.
+_LETTERS = {"ambient_occlusion": "o", "roughness": "r", "metallic": "m"}
 
 
 def baked(material: Material, sources: MapSources | None) -> tuple[Material, dict[str, str]]:
@@ -43,15 +43,16 @@ def baked(material: Material, sources: MapSources | None) -> tuple[Material, dic
         done["roughness"] = f"1 - {sources.gloss.name}"
     for kind in ("roughness", "metallic"):
         if sources.packed is not None and kind in sources.unpacked:
-            plane = raw(sources.packed, _CHANNELS[kind])
-            files[kind] = gray_picture(plane, is_fine(sources.packed))
-            done[kind] = f"channel {_CHANNELS[kind]} of {sources.packed.name}"
-    occlusion = sources.occlusion
+            channel = sources.packed_order.index(_LETTERS[kind])
+            files[kind] = gray_picture(raw(sources.packed, channel), is_fine(sources.packed))
+            done[kind] = f"channel {channel} of {sources.packed.name}"
+    occlusion, channel = sources.occlusion, 0
     if occlusion is None and "ambient_occlusion" in sources.unpacked:
         occlusion = sources.packed
+        channel = sources.packed_order.index(_LETTERS["ambient_occlusion"])
     if occlusion is not None and sources.occlusion_strength > 0.0:
         color = files.get("base_color")
-        files["base_color"] = _occluded(color, raw(occlusion), sources.occlusion_strength)
+        files["base_color"] = _occluded(color, raw(occlusion, channel), sources.occlusion_strength)
         done["base_color"] = f"times {occlusion.name}, strength {sources.occlusion_strength:g}"
     ordered = {kind: files[kind] for kind in MAP_CHANNELS if kind in files}
     return replace(material, maps=replace(maps, files=ordered)), done

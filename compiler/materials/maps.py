@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 #: Keys that are files of pictures.
 _FILES = (
-    "base_color", "roughness", "gloss", "metallic", "normal", "ambient_occlusion", "displacement",
-    "emission", "opacity",
+    "base_color", "roughness", "gloss", "metallic", "packed", "normal", "ambient_occlusion",
+    "displacement", "emission", "opacity",
 )  # fmt: skip
 
 
@@ -92,6 +92,13 @@ class MapsKeys:
     """Gloss, raw: the roughness is 1 less it. Not together with roughness."""
     metallic: Path | None = key(file("map"), optional=True)
     """Metallic part, raw, in place of the number."""
+    packed: Path | None = key(file("map"), optional=True)
+    """Ambient occlusion, roughness and metallic part in one picture's red, green and blue, raw, as
+    packed_order says. Of these, what a key of its own names is not taken from it."""
+    packed_order: Literal["orm", "omr", "rom", "rmo", "mor", "mro"] = key(
+        forms.CHOICE, default="orm"
+    )
+    """What red, green and blue of packed are: o for occlusion, r for roughness, m for metallic."""
     normal: Path | None = key(file("map"), optional=True)
     """Normals n = 2 rgb - 1, raw, x to the right in the picture."""
     normal_convention: Literal["opengl", "directx"] = key(forms.CHOICE, default="opengl")
@@ -145,7 +152,7 @@ class MapsKeys:
             glows: Whether it gives off light, which a picture can vary.
         """
         # Imported here: a cfg without files is checked without what reads them.
-        from scenec.compiler.assets.texture_set import TextureSet, read_texture_set
+        from scenec.compiler.assets.texture_set import TextureSet, read_texture_set, unpacked
         from scenec.compiler.materials.plan import MapSources
         from scenec.compiler.scene.material import Cutout, Far, MaterialMaps, TilingCells
 
@@ -183,7 +190,8 @@ class MapsKeys:
             occlusion=given.get("ambient_occlusion"),
             occlusion_strength=self.ambient_occlusion_strength,
             packed=given.get("packed"),
-            unpacked=found.unpacked(own),
+            packed_order=self.packed_order,
+            unpacked=unpacked(given),
             heights=given.get("displacement"),
             heights_m=self.displacement_m,
             as_is=self.resolution == "as_is",
@@ -265,8 +273,10 @@ def _check_sources(maps: Node) -> Iterator[Finding]:
         ("opacity_threshold", "opacity"),
         ("displacement_m", "displacement"),
         ("ambient_occlusion_strength", "ambient_occlusion"),
+        ("packed_order", "packed"),
     ):
-        if own in maps and other not in maps and "folder" not in maps:
+        others = {other, "folder"} | ({"packed"} if other == "ambient_occlusion" else set())
+        if own in maps and not any(key in maps for key in others):
             yield maps.key_fault(
                 f"{own} without a picture: expected the key {other} or folder, too", own
             )

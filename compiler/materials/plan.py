@@ -22,6 +22,7 @@ class MapSources:
         occlusion: Ambient occlusion, which the albedo is multiplied with.
         occlusion_strength: albedo * (1 - strength * (1 - occlusion)).
         packed: Occlusion, roughness and metallic part as red, green and blue.
+        packed_order: Which of them is which, by their first letters.
         unpacked: Kinds that ``packed`` is used for.
         heights: Of the relief, as a picture.
         heights_m: White above black in it; None: it stays flat.
@@ -34,6 +35,7 @@ class MapSources:
     occlusion: Path | None = None
     occlusion_strength: float = 1.0
     packed: Path | None = None
+    packed_order: str = "orm"
     unpacked: tuple[str, ...] = ()
     heights: Path | None = None
     heights_m: float | None = None

@@ -246,6 +246,8 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
     used, prototype = np.flatnonzero(in_use), (np.cumsum(in_use) - 1)[chosen]
     reached = levels.errors[chosen] * levels.size
     near = 0.0 if levels.near is None else levels.near
+    starts = np.unique(levels.finest)
+    finest = {i: int(starts[starts <= i].max()) for i in used.tolist()}
     facts: Facts = {
         "prototypes": len(used),
         "prototypes_of": len(levels.meshes),
@@ -259,8 +261,9 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
             levels.meshes[i].name: {
                 "triangles": int(levels.triangles[i]),
                 "error": float(levels.errors[i]),
+                **_color_error(levels.meshes[first], levels.meshes[i]),
             }
-            for i in used.tolist()
+            for i, first in finest.items()
         },
     }
     return (
@@ -271,3 +274,21 @@ def choose_levels(levels: Levels, factor: float | None = None) -> tuple[Scatter,
         ),
         facts,
     )
+
+
+def _color_error(finest: Prototype, mesh: Prototype) -> dict[str, float]:
+    """How far a level's mean color of corners is from the finest one's, in the worst channel."""
+    if finest.colors is None:
+        return {}
+    return {"color_error": float(np.abs(_mean_color(mesh) - _mean_color(finest)).max())}
+
+
+def _mean_color(mesh: Prototype) -> NDArray[np.float64]:
+    """Factors of the base color, the mean over a mesh's area, [3]."""
+    assert mesh.colors is not None
+    a, b, c = (mesh.points[mesh.faces[:, i]].astype(np.float64) for i in range(3))
+    normal = np.cross(b - a, c - a)
+    area = np.sqrt((normal * normal).sum(axis=1))
+    of_face = mesh.colors.astype(np.float64).mean(axis=1)
+    mean: NDArray[np.float64] = (of_face * area[:, None]).sum(axis=0) / area.sum()
+    return mean

@@ -32,7 +32,8 @@ class SpectralLaw:
 
     Attributes:
         slope: Of -log P over log k: 2 (H + 1) for a surface of the Hurst exponent H.
-        slope_error: Its standard deviation, were the modes of a normal field independent.
+        slope_error: Its standard deviation, were the modes of a normal field independent; what it
+            is off made surfaces is 0.9 to 1.2 times that (root mean square, 32 to 256 pixels).
         middle_m: Wavelength in the middle of the fit, where the density is known best.
         density_m4: There, m^2 a (cycle / m)^2.
         pixel_m: The wider side of a pixel, half of the Nyquist frequency's wavelength.

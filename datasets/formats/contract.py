@@ -15,6 +15,7 @@ from typing import ClassVar
 
 from scenec.datasets.source import FrameRef, LoadedFrame
 from scenec.schemas.codec import JSON, JsonObject
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.imu import RigState
 
 
@@ -94,6 +95,8 @@ class Info:
         imaging: Whether any camera's pictures are a sensor's.
         points: Columns of each point of a sweep (``outputs.DatasetPoint.settings``).
         rigs: Of each batch.
+        georeferences: Name of a batch -> where it lies on a body, of those that say so.
+        renumbered: Level -> a label's id in the stage -> its id after remapping, if any is another.
     """
 
     name: str
@@ -109,6 +112,8 @@ class Info:
     imaging: bool = False
     points: tuple[Mapping[str, JSON], ...] = ()
     rigs: Rigs = field(default_factory=Rigs)
+    georeferences: Mapping[str, Georeference] = field(default_factory=dict)
+    renumbered: Mapping[str, Mapping[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

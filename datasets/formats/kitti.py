@@ -8,6 +8,8 @@
     sequences/00/depth_2/000000.png   16 bits, 256 steps a meter (option ``depth``); depth_3
     sequences/00/flow_2/000000.png    16 bits, to the next picture (option ``flow``); flow_3
     sequences/00/disp_2/000000.png    16 bits, pairs alone (option ``disparity``); disp_3
+    sequences/00/velodyne/000000.bin  scans (``scenec scan``): x, y, z, intensity, float32
+    sequences/00/labels/000000.label  of each point: label + 65536 instance, uint32
     sequences/00/calib.txt            P0 ... P3, Tr
     sequences/00/times.txt            seconds
     poses/00.txt                      3x4 a line: left camera in the frame of its first pose
@@ -19,7 +21,9 @@ benchmarks (``motion_png``).
 
 Two cameras of a rig are a pair where they have the same resolution and intrinsics, look the same
 way, and lie apart along x alone: those first of which one is the other's partner, to which its
-disparity goes. Cameras in no pair are sequences of their own. Flow leads to the sample that the
+disparity goes. Cameras in no pair are sequences of their own. Points of the rig's
+first lidar and their labels are as in SemanticKITTI (J. Behley and others, ICCV 2019), and Tr is
+its place in the left camera. Flow leads to the sample that the
 camera is triggered at next; where the next picture of the sequence is another, none is valid.
 """
 
@@ -46,6 +50,7 @@ from scenec.datasets.formats.contract import (
     Written,
 )
 from scenec.datasets.formats.depth_png import LARGEST, to_16_bits
+from scenec.datasets.formats.lidar import read_cloud, scans_of
 from scenec.datasets.formats.motion_png import encode_disparity, encode_flow, write_rgb16
 from scenec.datasets.formats.poses import (
     RIGID,
@@ -66,7 +71,7 @@ from scenec.schemas.picture import write_png
 #: Of the depth benchmark.
 DEPTH_SCALE = 256.0
 _MICRO = 1_000_000
-#: A laser scanner's axes (x forward, y left, z up) in those of a camera: there is none here.
+#: A laser scanner's axes (x forward, y left, z up) in those of a camera, where there is none.
 _TR = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
 #: What can be written of motion -> the pass that says which pixels the other picture shows.
 _SHOWN = {"flow": "occlusion", "disparity": "disparity_occlusion"}
@@ -144,7 +149,7 @@ class Kitti(Format):
         """One a sample: a frame, or the two of a pair, left first; with the sample after it."""
         number_of_task, sequence = 0, 0
         for split, frames in splits.items():
-            for _batch, _rig, cameras in trajectory.rigs(frames):
+            for _batch, rig, cameras in trajectory.rigs(frames):
                 for names in pair_up(cameras):
                     members = [{ref.sample: ref for ref in cameras[name]} for name in names]
                     common = sorted(set.intersection(*map(set, members)))
@@ -152,7 +157,7 @@ class Kitti(Format):
                         zip(common, [*common[1:], -1], strict=True)
                     ):
                         refs = tuple(member[sample] for member in members)
-                        yield Task(number_of_task, split, refs, (sequence, index, following))
+                        yield Task(number_of_task, split, refs, (sequence, index, following, rig))
                         number_of_task += 1
                     sequence += bool(common)
 
@@ -186,7 +191,7 @@ class Kitti(Format):
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
     ) -> Written:
         """Write the pictures of a sample; nothing where one of a pair cannot be read."""
-        sequence, index, following = map(int, task.place)
+        sequence, index, following = map(int, task.place[:3])
         written = Written()
         poses: list[list[list[float]]] = []
         counts = np.zeros(3, np.int64)
@@ -229,6 +234,7 @@ class Kitti(Format):
                     "size": [frame.width, frame.height],
                     "intrinsics": opencv_intrinsics(frame).tolist(),
                 }
+                self._scan(task, frame, folder, written)
             poses.append(frame.camera_to_world.tolist())
         if len(poses) != len(task.frames):
             for name in written.files:
@@ -238,6 +244,38 @@ class Kitti(Format):
         written.record["depth"] = counts.tolist()
         written.record["flows"] = flows
         return written
+
+    def sources(self, task: Task) -> list[Path]:
+        """The scan of the sample."""
+        found = scans_of(task.frames[0], str(task.place[3]))
+        return [path.with_suffix(".npz") for path in found[:1]]
+
+    def _scan(self, task: Task, frame: LoadedFrame, folder: Path, written: Written) -> None:
+        """Writes the points of the rig's first lidar, and their labels."""
+        found = scans_of(frame.ref, str(task.place[3]))
+        _count(written.left_out, "scans of a rig's second lidar and others", len(found[1:]))
+        cloud = read_cloud(found[0], self.info, frame.sidecar.stage_digest) if found else None
+        if cloud is None:
+            _count(written.left_out, "scans of another stage; scan again", len(found[:1]))
+            return
+        most = max(int(cloud.labels.max(initial=0)), int(cloud.instances.max(initial=0)))
+        if most >= 2**16:
+            raise OutputError(
+                f"{found[0]}: a point has the label or instance {most}, and SemanticKITTI's labels "
+                "hold those below 65536"
+            )
+        written.record["lidar"] = relative(frame.camera_to_world, cloud.to_world).tolist()
+        files = {
+            "velodyne/{}.bin": np.column_stack([cloud.points, cloud.intensity]).astype("<f4"),
+            "labels/{}.label": (cloud.labels | cloud.instances << np.uint32(16)).astype("<u4"),
+        }
+        for pattern, values in files.items():
+            name = f"{int(task.place[0]):02d}/{pattern.format(f'{int(task.place[1]):06d}')}"
+            path = folder / "sequences" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic(path) as temporary:
+                temporary.write_bytes(values.tobytes())
+            written.files.append(f"sequences/{name}")
 
     def _flow(
         self, frame: LoadedFrame, following: int, folder: Path, path: str, written: Written
@@ -336,7 +374,7 @@ class Kitti(Format):
         task, first = head
         start = np.array(first["poses"][0])
         offset = relative(start, np.array(first["poses"][-1]))
-        name = f"{place:02d}"
+        name, lidar = f"{place:02d}", first.get("lidar")
         counts = np.zeros(4, np.int64)
         with ExitStack() as stack:
             times, poses = (
@@ -352,12 +390,15 @@ class Kitti(Format):
                 trajectory.check_rising(self, before, now)
                 before = now
                 self._check_same(now[1], first, record, offset)
+                lidar = lidar or record.get("lidar")
+                if "lidar" in record and _apart(record["lidar"], lidar) > RIGID:
+                    raise OutputError(f"{now[1]}: the lidar is not where it was on the rig")
                 times.write(f"{record['time']}\n")
                 poses.write(f"{numbers(relative(start, np.array(record['poses'][0]))[:3])}\n")
                 counts += 1, *record["depth"]
         baseline = float(offset[0, 3])
         with atomic(folder / "sequences" / name / "calib.txt") as temporary:
-            temporary.write_text(_calibration(np.array(first["intrinsics"]), baseline))
+            temporary.write_text(_calibration(np.array(first["intrinsics"]), baseline, lidar))
         cameras = [ref.camera for ref in task.frames]
         frames, *lost = counts.tolist()
         return [name, task.split, task.frames[0].batch_name, cameras[0],
@@ -398,8 +439,10 @@ class Kitti(Format):
             "(x right, y down, z forward) in the frame of its first pose, meters; "
             "`sequences.csv` says which batch and cameras a sequence is of, its split, and where "
             "its first pose lies in the world. Cameras 0 and 2 are one, as are 1 and 3; without a "
-            "pair P1 and P3 repeat P0. There is no laser scanner: `Tr` only turns axes (x forward, "
-            f"y left, z up) into the camera's. {depth}Where frames were left out, numbers of "
+            "pair P1 and P3 repeat P0. Where the rig has a lidar that `scenec scan` scanned with, "
+            "`velodyne` and `labels` hold its points as SemanticKITTI has them, and `Tr` is its "
+            "place in the left camera; without one `Tr` only turns axes (x forward, y left, z up). "
+            f"{depth}Where frames were left out, numbers of "
             "pictures have gaps, and line i of times and poses belongs to picture i in order of "
             "names. Load with `pykitti.odometry(FOLDER, '00')`."
         )
@@ -419,10 +462,20 @@ def _count(left_out: dict[str, int], what: str, number: int) -> None:
         left_out[what] = left_out.get(what, 0) + number
 
 
-def _calibration(k: NDArray[np.float64], baseline: float) -> str:
+def _apart(one: object, other: object) -> float:
+    return float(np.abs(np.array(one) - np.array(other)).max())
+
+
+def _calibration(k: NDArray[np.float64], baseline: float, lidar: list[list[float]] | None) -> str:
     left, right = np.zeros((3, 4)), np.zeros((3, 4))
     left[:, :3] = right[:, :3] = k
     # A point of the left camera's frame lies this much to the left in the right one's.
     right[0, 3] = -k[0, 0] * baseline
-    rows = {"P0": left, "P1": right, "P2": left, "P3": right, "Tr": _TR}
+    rows = {
+        "P0": left,
+        "P1": right,
+        "P2": left,
+        "P3": right,
+        "Tr": _TR if lidar is None else np.array(lidar)[:3],
+    }
     return "".join(f"{name}: {numbers(matrix)}\n" for name, matrix in rows.items())

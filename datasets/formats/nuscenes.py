@@ -1,10 +1,11 @@
-"""nuScenes: its 13 tables and its files, as its devkit reads them.
+"""nuScenes: its 13 tables, nuScenes-lidarseg, and their files, as its devkit reads them.
 
 ::
 
     v1.0-<split>/<table>.json                      the tables, those of ``TABLES``
     samples/CAM_LEFT/<batch>_<rig>__CAM_LEFT__<us>.png   pictures of the rig's camera ``left``
     samples/LIDAR_TOP/…__<us>.pcd.bin            scans: x, y, z, intensity, ring, float32
+    lidarseg/v1.0-<split>/<token>_lidarseg.bin    label of each point, uint8
     maps/none.png                                  the mask that each map must have: empty
 
 As the schema of the devkit describes it (docs/schema_nuscenes.md of nuscenes-devkit; H. Caesar and
@@ -27,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.datasets.formats import trajectory
-from scenec.datasets.formats.contract import Done, Format, Info, Task, Written
+from scenec.datasets.formats.contract import Done, Format, Info, Option, Task, Written
+from scenec.datasets.formats.lidar import read_cloud, scans_of
 from scenec.datasets.formats.poses import (
     LINK_POSE,
     opencv_intrinsics,
@@ -36,10 +38,10 @@ from scenec.datasets.formats.poses import (
     require_pinhole,
 )
 from scenec.datasets.source import FrameRef, LoadedFrame
+from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic, write_json
 from scenec.schemas.picture import write_png
 from scenec.schemas.quaternions import quaternion
-from scenec.schemas.scans import SCANS, read_scan
 
 _MICRO = 1_000_000
 #: Tables, and their fields as the schema has them.
@@ -52,6 +54,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
         *("token", "category_token", "nbr_annotations"),
         *("first_annotation_token", "last_annotation_token"),
     ),
+    "lidarseg": ("token", "sample_data_token", "filename"),
     "log": ("token", "logfile", "vehicle", "date_captured", "location"),
     "map": ("token", "log_tokens", "category", "filename"),
     "sample": ("token", "timestamp", "scene_token", "next", "prev"),
@@ -73,6 +76,8 @@ TABLES: Mapping[str, tuple[str, ...]] = {
 #: Shares of an instance that are seen, and their names; a token is the number from 1 on.
 _VISIBILITY = ((0.4, "v0-40"), (0.6, "v40-60"), (0.8, "v60-80"), (1.0, "v80-100"))
 _MAP = "maps/none.png"
+#: Category of points without a label, as the devkit has it.
+NOISE = "noise"
 
 
 class Nuscenes(Format):
@@ -83,11 +88,25 @@ class Nuscenes(Format):
     needs = ("rgb", "instance", "label")
     # Pictures are taken from the PNG.
     unused = ("rgb",)
-    options: ClassVar = dict(trajectory.time_options())
+    options: ClassVar = {
+        "lidarseg": Option(
+            "no",
+            "the label of each lidar point, too; the devkit reads names of its own colors alone "
+            "(flat.terrain, static.vegetation …): --remap gives them",
+            ("no", "yes"),
+        ),
+        **trajectory.time_options(),
+    }
 
     def __init__(self, info: Info) -> None:
         super().__init__(info)
         trajectory.start_ticks(self, _MICRO)
+        self._segmented = self.option("lidarseg") == "yes"
+        if self._segmented and max(_indices(info).values(), default=0) > 255:
+            raise OutputError(
+                f"format nuscenes, option lidarseg=yes: the level {info.level!r} has more than 255 "
+                "labels; --remap makes fewer of them"
+            )
 
     def holds(self, name: str) -> bool:
         """Holds pictures, and boxes of instances, whose class is a label."""
@@ -105,7 +124,8 @@ class Nuscenes(Format):
 
     def sources(self, task: Task) -> list[Path]:
         """Scans of the sample."""
-        return [path.with_suffix(".npz") for path in _scans(task)]
+        found = scans_of(task.frames[0], str(task.place[0]))
+        return [path.with_suffix(".npz") for path in found]
 
     def write(
         self, task: Task, frames: Iterable[LoadedFrame], folder: Path, scratch: Path
@@ -142,20 +162,25 @@ class Nuscenes(Format):
         if ego is None:
             return written
         hits: Counter[int] = Counter()
-        for path in _scans(task):
-            scan = read_scan(path)
-            if scan.sidecar.stage_digest != digest:
+        index = _indices(self.info)
+        for path in scans_of(task.frames[0], str(task.place[0])):
+            cloud = read_cloud(path, self.info, digest)
+            if cloud is None:
                 _count(written.left_out, "scans of another stage; scan again", 1)
                 continue
             channel = _channel("LIDAR", path.parent.name, str(task.place[0]))
             name = _file(scene, channel, stamp, "pcd.bin")
-            points, ids = _cloud(scan.arrays)
-            hits.update(ids.tolist())
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            with atomic(folder / name) as temporary:
-                temporary.write_bytes(points.astype("<f4").tobytes())
-            written.files.append(name)
-            pose = _pose(relative(ego, np.array(scan.sidecar.lidar_to_world)))
+            hits.update(cloud.instances[cloud.instances > 0].tolist())
+            row = np.column_stack([cloud.points, cloud.intensity * 255.0, cloud.ring])
+            files = {name: row.astype("<f4")}
+            if self._segmented:
+                labels = [index.get(label, 0) for label in cloud.labels.tolist()]
+                files[_segments(task.split, name)] = np.array(labels, "u1")
+            for file, values in files.items():
+                (folder / file).parent.mkdir(parents=True, exist_ok=True)
+                with atomic(folder / file) as temporary:
+                    temporary.write_bytes(values.tobytes())
+                written.files.append(file)
             data.append(
                 {
                     "channel": channel,
@@ -164,7 +189,7 @@ class Nuscenes(Format):
                     "fileformat": "pcd",
                     "width": 0,
                     "height": 0,
-                    "pose": pose,
+                    "pose": _pose(relative(ego, cloud.to_world)),
                     "intrinsic": [],
                 }
             )
@@ -229,8 +254,9 @@ class Nuscenes(Format):
             "that a camera of the sample shows in a pixel; `size` is width (y), length (x), height "
             "(z). `visibility` is the share of its pixels that show it, over all cameras; "
             "`num_lidar_pts` counts the answers of all lidars by instance. Categories are the "
-            f"labels of the level `{self.info.level}`. There are no attributes, no radar, no "
-            f"sweeps; the one map is empty (`{_MAP}`)."
+            f"labels of the level `{self.info.level}`; `lidarseg`, where it is asked for, has that "
+            "of each point (0: none). There are no attributes, no radar, no sweeps; the one map is "
+            f"empty (`{_MAP}`)."
         )
 
 
@@ -271,8 +297,13 @@ class _SplitTables:
         #: What a row follows: a scene's sample, a channel's data, an instance's annotation.
         self._last: dict[str, dict[str, Any]] = {}
         self._name = info.name
-        for number, label in info.labels.get(info.level, {}).items():
-            self._put("category", label, name=label, description="", index=number)
+        self._segmented = info.options.get("lidarseg") == "yes"
+        if self._segmented:
+            # Points of no label have 0; the devkit counts categories from there.
+            self._put("category", NOISE, name=NOISE, description="", index=0)
+        for number, index in _indices(info).items():
+            label = info.labels[info.level][number]
+            self._put("category", label, name=label, description="", index=index)
         for i, (_, level) in enumerate(_VISIBILITY, 1):
             description = f"visibility of the whole object is {level[1:]} %"
             row = {"token": str(i), "level": level, "description": description}
@@ -280,7 +311,7 @@ class _SplitTables:
 
     def _put(self, table: str, named: str, **values: Any) -> dict[str, Any]:
         """A row by what it is named by, made if it is not there."""
-        token = hashlib.sha256(f"{table} {self._split} {named}".encode()).hexdigest()[:32]
+        token = _token(table, self._split, named)
         made: dict[str, Any] = self._rows[table].setdefault(token, {"token": token, **values})
         return made
 
@@ -338,6 +369,11 @@ class _SplitTables:
             is_key_frame=True,
         )
         self._follow(row, f"data {scene} {channel}")
+        if self._segmented and one["modality"] == "lidar":
+            name = _segments(self._split, one["filename"])
+            segments = self._put("lidarseg", name, sample_data_token=row["token"], filename=name)
+            # The devkit looks for it by the token of the scan.
+            segments["token"] = row["token"]
 
     def _annotation(self, scene: str, sample: Mapping[str, Any], one: Mapping[str, Any]) -> None:
         name = f"{scene} {one['number']}"
@@ -366,15 +402,25 @@ class _SplitTables:
         return {
             table: [{field: row[field] for field in fields} for row in self._rows[table].values()]
             for table, fields in TABLES.items()
+            if table != "lidarseg" or self._segmented
         }
 
 
-def _scans(task: Task) -> list[Path]:
-    """Sidecars of the scans of a task's rig at its sample, by name."""
-    ref = task.frames[0]
-    # Of batch_0000/frames/<backend>/<camera>/000000.
-    folder = ref.stem.parents[3] / SCANS
-    return sorted(folder.glob(f"{task.place[0]}_*/{ref.sample:06d}.json"))
+def _token(table: str, split: str, named: str) -> str:
+    """A row's token: a digest of what it is named by."""
+    return hashlib.sha256(f"{table} {split} {named}".encode()).hexdigest()[:32]
+
+
+def _segments(split: str, scan: str) -> str:
+    """File of the labels of a scan's points, named by the token of its row in ``sample_data``."""
+    return f"lidarseg/v1.0-{split}/{_token('sample_data', split, scan)}_lidarseg.bin"
+
+
+def _indices(info: Info) -> dict[int, int]:
+    """Label -> its category's index: from 1 on without gaps, as the devkit counts them."""
+    names = info.labels.get(info.level, {})
+    named = [number for number, name in names.items() if name != NOISE]
+    return dict.fromkeys(names, 0) | {number: i for i, number in enumerate(named, 1)}
 
 
 def _channel(kind: str, sensor: str, rig: str) -> str:
@@ -389,16 +435,6 @@ def _file(scene: str, channel: str, stamp: int, ending: str) -> str:
 def _pose(pose: NDArray[np.float64]) -> dict[str, list[float]]:
     x, y, z, w = quaternion(pose[:3, :3]).tolist()
     return {"translation": pose[:3, 3].tolist(), "rotation": [w, x, y, z]}
-
-
-def _cloud(arrays: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.float32], NDArray[Any]]:
-    """Points of a scan's answers, float32 [n, 5], and the instances that gave them, above 0."""
-    there = np.isfinite(arrays["range"])
-    ring = np.nonzero(there)[0].astype(np.float32)
-    strength = arrays["intensity"][there] * 255.0 if "intensity" in arrays else np.zeros(len(ring))
-    points = np.column_stack([arrays["points"][there], strength, ring]).astype(np.float32)
-    ids = arrays["instance"][there] if "instance" in arrays else np.zeros(0, np.uint32)
-    return points, ids[ids > 0]
 
 
 def _count(left_out: dict[str, int], what: str, number: int) -> None:

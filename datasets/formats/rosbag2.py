@@ -86,7 +86,7 @@ class Rosbag2(Format):
 
     name = "rosbag2"
     summary = "ROS 2 bags (MCAP): images, depth, labels, camera info, tf, poses; one a batch"
-    version = 3
+    version = 4
     # Pictures are taken from the PNG.
     unused = ("rgb",)
     beside = BESIDE

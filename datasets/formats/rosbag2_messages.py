@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenec.datasets.formats.poses import LINK_POSE, distortion, opencv_intrinsics, product
 from scenec.datasets.formats.rectify import Rectified
 from scenec.datasets.source import LoadedFrame
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.imu import Imu, RigState
 from scenec.schemas.lens import BROWN_CONRADY, KANNALA_BRANDT
 from scenec.schemas.quaternions import quaternion
@@ -157,6 +158,35 @@ class Messages:
             frame_id,
             self._make("geometry_msgs/PoseWithCovariance", self._pose(motion.pose), none),
             self._make("geometry_msgs/TwistWithCovariance", twist, none),
+        )
+
+    def fix(
+        self,
+        place: Georeference,
+        at: NDArray[np.float64],
+        altitude_m: float,
+        frame_id: str,
+        stamp: int,
+    ) -> Any:
+        """Makes a sensor_msgs/NavSatFix of a place of the scene on Earth: exact, of covariance 0.
+
+        Args:
+            place: Where the scene lies.
+            at: The place's x, y and z [3], in meters.
+            altitude_m: Above the DEM's datum, whatever that is.
+            frame_id: Of the antenna, which is the rig's origin.
+            stamp: In nanoseconds.
+        """
+        latitude, longitude = place.latitude_longitude(at[0], at[1])
+        return self._make(
+            "sensor_msgs/NavSatFix",
+            self.header(frame_id, stamp),
+            self._make("sensor_msgs/NavSatStatus", 0, 1),
+            float(latitude),
+            float(longitude),
+            altitude_m,
+            np.zeros(9),
+            2,
         )
 
     def path(self, poses: Sequence[NDArray[np.float64]], stamps: Sequence[int]) -> Any:

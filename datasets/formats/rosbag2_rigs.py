@@ -26,6 +26,7 @@ from scenec.datasets.formats.rosbag2_names import (
 )
 from scenec.datasets.formats.stereo import baseline, pair_up, partner_of
 from scenec.datasets.source import FrameRef, LoadedFrame, record_of
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.imu import Imu, RigState
 from scenec.schemas.scans import SCANS, read_scan
 
@@ -64,6 +65,7 @@ class RigsOfBag:
         self._form, self._cameras, self._left_out = form, cameras, left_out
         self._scans = scan_folder(frames)
         self._states = form.info.rigs.of(frames[0].batch_name)
+        self._place_of_scene = self._on_earth(frames[0].batch_name)
         #: Rig -> its frame; camera on one -> rig and pose there.
         self._frames: dict[str, str] = {}
         self._mounts: dict[str, tuple[str, NDArray[np.float64]]] = {}
@@ -75,6 +77,17 @@ class RigsOfBag:
             self._pair(members)
         self._place([(rig, members) for _, rig, members in rigs])
         self.topics = Topics(form.option("topics"), self._roles(rigs))
+
+    def _on_earth(self, batch: str) -> Georeference | None:
+        """Where the batch lies, if that is on Earth: NavSatFix is of WGS 84."""
+        place = self._form.info.georeferences.get(batch)
+        if place is None or place.body == "Earth":
+            return place
+        self._left_out[
+            f"latitudes and longitudes on {place.body or 'a body without a name'}: NavSatFix is of "
+            "Earth alone"
+        ] += 1
+        return None
 
     def _pair(self, members: Mapping[str, Sequence[FrameRef]]) -> None:
         for pair in pair_up(members):
@@ -201,6 +214,11 @@ class RigsOfBag:
                 links.append(("world", body, motion.pose))
                 topic = f"/{ros_names([rig], 'rig')[rig]}/odom"
                 yield topic, make.odometry(motion, body, stamp)
+                if self._place_of_scene is not None:
+                    at = motion.pose[:3, 3]
+                    altitude = float(at[2]) - self._states[rig].height_offset_m
+                    fix = make.fix(self._place_of_scene, at, altitude, body, stamp)
+                    yield f"/{ros_names([rig], 'rig')[rig]}/fix", fix
         if links:
             yield "/tf", make.tf(links, stamp)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,15 @@ from scenec.importers.output import Imported
 from scenec.importers.report import APPROXIMATED, TRANSLATED
 from scenec.importers.scene import soil, unused
 from scenec.importers.usd.scene import name_of
-from scenec.schemas import maps
+from scenec.schemas import maps, udim
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.exr import write_rgb
 
 #: Of ``Surface``, what has a range in a cfg, and its key there.
 _SHARES = ("roughness", "specular", "metallic", "diffuse_transmission")
 _PLAIN = Reading()
+#: What a picture holds where UDIM has no tile: black, dull, even.
+_NO_TILE = {"normal": (0.5, 0.5, 1.0), "roughness": (1.0, 1.0, 1.0)}
 
 
 class Materials:
@@ -165,6 +168,15 @@ def _values(file: Path, kind: str, reading: Reading) -> NDArray[np.float32]:
     Raises:
         ScenecError: It cannot be read.
     """
+    if reading.tiles != (1, 1):
+        one = replace(reading, tiles=(1, 1))
+        if not udim.is_tiled(file):
+            return np.tile(_values(file, kind, one), (*reading.tiles[::-1], 1))
+        tiles = {place: _values(tile, kind, one) for place, tile in udim.tiles_of(file).items()}
+        try:
+            return udim.joined(tiles, reading.tiles, _NO_TILE.get(kind, (0.0, 0.0, 0.0)))
+        except ValueError as error:
+            raise ScenecError(f"{file}: {error}") from error
     try:
         pixels = maps.read_pixels(file, alpha=reading.channel == "a")
     except ValueError as error:

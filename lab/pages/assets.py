@@ -165,7 +165,7 @@ def main(page: Page) -> None:
         chosen = [a for label in of for a in assets.values() if a.label == label]
         page.rows([
             f"`{a.name}`", a.about, " × ".join(f"{v:.2f}" for v in a.size_m), f"{a.triangles:,}",
-            a.label, ", ".join(a.parts),
+            a.label,
         ] for a in chosen)  # fmt: skip
         if not only or _slug(title) in only:
             contact_sheet(page, title, chosen, spp)

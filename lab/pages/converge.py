@@ -88,8 +88,6 @@ class Example:
              series.over_spp.verdict]
             for series in own if series.over_spp is not None
         )  # fmt: skip
-        notes = [note for note in self.found.notes if "slope" not in note or "FINDING" in note]
-        self.page.value("notes", "\n" + "".join(f"- {note}\n" for note in notes))
 
     def floors(self, _: Page) -> None:
         """Tables what stays between backends however many samples."""

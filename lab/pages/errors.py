@@ -8,6 +8,8 @@ bytes are facts of the code.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from scenec.compiler.cfg.load import load
 from scenec.lab.runner import ROOT, Page, run, table
 from scenec.quality.ladder import APPROXIMATIONS, Ladder, LadderReport
@@ -15,7 +17,7 @@ from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.plots import draw
 from scenec.quality.ladder.results import cells, units
 from scenec.quality.ladder.run import climb_base
-from scenec.quality.ladder.slopes import slope_text
+from scenec.quality.ladder.slopes import Slope
 
 #: Cfgs that ship, all with seed 1, batch 0, and which approximations of each are shown: together
 #: every one, in some minutes.
@@ -27,25 +29,27 @@ SCENES = {
 _RUNGS, _FAST = 4, 2
 
 
-def scene(page: Page, name: str) -> str:
-    """All ladders of one cfg."""
+def scene(page: Page, name: str, told: set[str]) -> str:
+    """All ladders of one cfg; ``told`` holds what the page says already."""
     base = Base(load(ROOT / "configs" / f"{name}.json"), 1, 0)
     only = ("lod", "sky") if page.fast else SCENES[name]
     report = climb_base(base, only, _FAST if page.fast else _RUNGS)
     draw(page.picture(name), report)
     shown = f"![measured and claimed errors of {name}](pictures/{page.picture(name).name})\n"
     parts = [f"## {name}\n", shown]
-    parts += [ladder_text(ladder) for ladder in report.ladders]
+    parts += [ladder_text(ladder, told) for ladder in report.ladders]
     parts += [f"No ladder of {what}: {why}.\n" for what, why in report.absent.items()]
     return "\n".join(parts) + findings(report)
 
 
-def ladder_text(ladder: Ladder) -> str:
-    """One ladder: table, what it is against, slopes."""
+def ladder_text(ladder: Ladder, told: set[str]) -> str:
+    """One ladder: table, what it is against, what half the error costs."""
     header, rows = cells(ladder)
     rows = [[f"**{value}**" if used else value, *rest] for value, used, *rest in rows]
     lines = [f"Against: {ladder.reference}.", f"Claim: {ladder.claim}."]
-    lines += [f"The rms error {slope_text(over, found)}." for over, found in ladder.slopes.items()]
+    lines = [line for line in lines if line not in told]
+    told.update(lines)
+    lines.append(half(ladder.slopes))
     lines += [f"{note[0].upper()}{note[1:]}." for note in ladder.notes]
     return (
         f"### {ladder.name}: {ladder.what}\n\nErrors in {units(ladder)}.\n\n"
@@ -54,6 +58,15 @@ def ladder_text(ladder: Ladder) -> str:
         + "\n".join(f"- {line}" for line in lines)
         + "\n"
     )
+
+
+def half(slopes: Mapping[str, Slope | None]) -> str:
+    """What half the rms error costs."""
+    bought = {over: found.halving for over, found in slopes.items() if found and found.halving}
+    said = [f"{times:.3g} times the {over}" for over, times in bought.items()]
+    rest = " and ".join(over for over in slopes if over not in bought)
+    said += [f"{rest} do not buy it"] if rest else []
+    return f"Half the rms error: {', '.join(said)}."
 
 
 def findings(report: LadderReport) -> str:
@@ -78,7 +91,8 @@ def findings(report: LadderReport) -> str:
 
 def main(page: Page) -> None:
     """Refreshes the page, whose tables are as many as there are approximations."""
-    page.value("ladders", "\n\n" + "\n".join(scene(page, name) for name in SCENES))
+    told: set[str] = set()
+    page.value("ladders", "\n\n" + "\n".join(scene(page, name, told) for name in SCENES))
     page.refresh(("scenec", "numpy", "numba"), ())
 
 

@@ -159,6 +159,8 @@ def light(page: Page, drawn: Drawn) -> None:
             row.append(f"{ratio} · {part['coverage'].mean():.3f} · {wrong}")
         rows.append(row)
     page.rows(rows)
+    # The last table names tests.
+    page.rows(None)
 
 
 def _mean(part: dict[str, Any], whole: NDArray[np.bool_]) -> float | None:

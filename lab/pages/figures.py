@@ -1,4 +1,4 @@
-"""Renders the pictures of docs/figures.md, counterparts of the OAISYS paper's figures 1, 4 and 5.
+"""Renders pictures of docs/gallery.md, counterparts of the OAISYS paper's figures 1, 4 and 5.
 
     python lab/pages/figures.py [--only NAME] [--spp 16] [--keep FOLDER] [-o FOLDER] [--fast]
 
@@ -117,4 +117,4 @@ def main(page: Page) -> None:
 
 
 if __name__ == "__main__":
-    run(main, page="figures", only=names, spp=16, keep=Path)
+    run(main, page="gallery", only=names, spp=16, keep=Path)

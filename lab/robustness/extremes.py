@@ -28,7 +28,7 @@ from scenec.backends.stage.scene import RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.views.needed import Keep
-from scenec.lab.robustness import extreme_dems
+from scenec.lab.robustness import extreme_dems, extreme_maps
 from scenec.lab.runner import Cell, Study, apart, names, run
 from scenec.schemas.errors import ScenecError
 from scenec.testing.extreme_scenes import (
@@ -451,7 +451,7 @@ def rows() -> list[Row]:
         Row("steps: wear of craters", wear, "3e-4 of the depth"),
         Row("steps: thermal", slides, "within a sample at a ramp's ends"),
     ]  # fmt: skip
-    return found + [Row(*case) for case in extreme_dems.cases()]
+    return found + [Row(*case) for case in (*extreme_dems.cases(), *extreme_maps.cases())]
 
 
 def high(folder: Path, height: float) -> Found:

@@ -29,7 +29,12 @@ def out(tmp_path_factory):
 def fields_of(name: str) -> set[str]:
     """What the page's row of a format puts between backticks, numbered names without numbers."""
     (row,) = re.findall(rf"^\| \*\*{name}\*\* \|.*$", PAGE, re.MULTILINE)
-    return set(re.findall(r"`([^`]+)`", row))
+    found = set(re.findall(r"`([^`]+)`", row))
+    if "the columns below" in row:
+        (shared,) = re.findall(r"^\| \*\*columns\*\* .*$", PAGE, re.MULTILINE)
+        columns = re.findall(r"`([^`]+)`", shared)
+        found |= {f"{place}{column}" for place in ("", "instances/") for column in columns}
+    return found
 
 
 def keys(value) -> set[str]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from nuscenes.nuscenes import NuScenes
 from nuscenes.utils.data_classes import LidarPointCloud
+from nuscenes.utils.data_io import load_bin_file
 from nuscenes.utils.geometry_utils import points_in_box, transform_matrix
 from pyquaternion import Quaternion
 
@@ -80,7 +81,10 @@ def to_world(nusc, data):
 
 
 def test_tables_have_the_schema_s_fields_and_the_frames_number(nusc, root):
+    assert not (root / "v1.0-all/lidarseg.json").exists()
     for name, fields in TABLES.items():
+        if name == "lidarseg":
+            continue
         rows = json.loads((root / f"v1.0-all/{name}.json").read_bytes())
         assert all(tuple(row) == fields for row in rows)
         tokens = [row["token"] for row in rows]
@@ -183,6 +187,31 @@ def test_numbers_of_lidar_points_are_those_in_the_boxes_but_for_the_ground_s(out
     assert total > 50
 
 
+def test_labels_of_lidar_points_are_the_scan_s_and_the_devkit_counts_them(out, tmp_path, capsys):
+    """Of names that the devkit has colors for; ids with gaps become indices without."""
+    remap, root = tmp_path / "remap.json", tmp_path / "d"
+    new = {"sky": None, "ground": {"name": "flat.terrain", "id": 300}, "rock": "static.other"}
+    remap.write_text(json.dumps({"class": new}))
+    how = {"folder": root, "remap": remap, "settings": ["lidarseg=yes"], "workers": 0}
+    scenec.export(out, "nuscenes", **how)
+    nusc = NuScenes("v1.0-all", str(root), verbose=False)
+    names = {"noise": 0, "static.other": 1, "flat.terrain": 2}
+    assert nusc.lidarseg_name2idx_mapping == names
+    assert len(nusc.lidarseg) == SAMPLES
+    for at, sample in enumerate(sorted(nusc.sample, key=lambda one: one["timestamp"])):
+        row = nusc.get("lidarseg", sample["data"]["LIDAR_TOP"])
+        scan = read_scan(out / f"batch_0000/scans/rover_top/{at:06d}.json").arrays
+        true = np.array([0, 0, 2, 1])[scan["label.class"][np.isfinite(scan["range"])]]
+        assert (load_bin_file(str(root / row["filename"])) == true).all()
+        nusc.get_sample_lidarseg_stats(sample["token"])
+        shown = capsys.readouterr().out
+        for name, index in names.items():
+            count = int((true == index).sum())
+            assert count == 0 or any(
+                name in line and f"{count:,}" in line for line in shown.splitlines()
+            )
+
+
 def test_rocks_stand_still_and_their_visibility_is_their_pixels_share(out, nusc):
     for row in nusc.sample_annotation:
         velocity = nusc.box_velocity(row["token"], max_time_diff=100)
@@ -203,3 +232,34 @@ def test_without_scans_and_with_splits(out, tmp_path):
         scenec.export(out, "nuscenes", folder=tmp_path / "a", settings=["start_s=-5"], workers=0)
     scenec.export(out, "nuscenes", folder=tmp_path / "b", split="train=0:1", workers=0)
     assert len(NuScenes("v1.0-train", str(tmp_path / "b"), verbose=False).sample) == SAMPLES
+
+
+def test_kitti_has_the_same_scans_with_labels_and_where_the_lidar_is(out, tmp_path):
+    """As SemanticKITTI's reader takes them apart; through Tr they meet what the camera shows."""
+    scenec.export(out, "kitti", folder=tmp_path / "d", cameras=["rover_left"], workers=0)
+    place = tmp_path / "d/sequences/00"
+    calib = dict(line.split(": ") for line in (place / "calib.txt").read_text().splitlines())
+    into_camera = np.array(calib["Tr"].split(), float).reshape(3, 4)
+    source, met = Source(out), 0
+    for ref in (ref for ref in source.frames if ref.camera == "rover_left"):
+        points = np.fromfile(place / f"velodyne/{ref.sample:06d}.bin", np.float32).reshape(-1, 4)
+        raw = np.fromfile(place / f"labels/{ref.sample:06d}.label", np.uint32)
+        labels, instances = raw & 0xFFFF, raw >> 16
+        scan = read_scan(out / f"batch_0000/scans/rover_top/{ref.sample:06d}.json").arrays
+        there = np.isfinite(scan["range"])
+        assert (points[:, :3] == scan["points"][there]).all()
+        assert (labels == scan["label.class"][there]).all()
+        assert (instances == scan["instance"][there]).all()
+        frame = source.load(ref)
+        seen = points[:, :3].astype(float) @ into_camera[:, :3].T + into_camera[:, 3]
+        ahead = seen[:, 2] > 0.1
+        u, v, _ = frame.intrinsics @ (seen / np.where(ahead, seen[:, 2], 1.0)[:, None]).T
+        inside = ahead & (u >= 0) & (u < frame.width) & (v >= 0) & (v < frame.height)
+        rows, columns = v[inside].astype(int), u[inside].astype(int)
+        depth = frame.passes["depth"][rows, columns]
+        near = np.abs(depth - seen[inside, 2]) < 0.02 * depth
+        same = frame.passes["instance"][rows, columns] == instances[inside]
+        assert near.mean() > 0.8
+        assert same[near].mean() > 0.97
+        met += int((near & (instances[inside] > 0)).sum())
+    assert met > 50

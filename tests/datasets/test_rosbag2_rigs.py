@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -13,7 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from scenec.datasets.export import Choice, export
 from scenec.datasets.formats.rosbag2_names import LAYOUTS
+from scenec.schemas.codec import encode
 from scenec.schemas.errors import OutputError
+from scenec.schemas.georeference import Georeference
 from scenec.schemas.records import FileDigest, ScanRecord
 from scenec.schemas.scans import scan_stem, write_scan
 from scenec.testing.bags import OPTICAL, matrix, read, stamp
@@ -142,6 +145,43 @@ def test_odometry_has_the_rig_s_pose_and_velocities_in_its_own_axes(found):
     for k, one in enumerate(path.poses):
         p = one.pose.position
         assert np.abs(rig_pose(k)[:3, 3] - [p.x, p.y, p.z]).max() < 1e-14
+
+
+def at_a_place(made, tmp_path, place):
+    """Messages of a bag whose batch lies there, and what is said to be left out."""
+    manifest = json.loads((made / "manifest.json").read_text())
+    manifest["batches"][0]["georeference"] = encode(place)
+    copy = tmp_path / "copy"
+    shutil.copytree(made, copy, ignore=shutil.ignore_patterns("bag"))
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    lifted = [replace(rig, height_offset_m=-250.0) for rig in rigs()]
+    export(copy, "rosbag2", tmp_path / "bag", Choice(rigs=lambda _stage: lifted))
+    said = json.loads((tmp_path / "bag/export.json").read_text())
+    return read(tmp_path / "bag/all/batch_0000"), json.dumps(said)
+
+
+def test_a_fix_on_earth_is_where_proj_puts_the_rig(out, tmp_path):
+    warp = pytest.importorskip("rasterio.warp")
+    # Turned by a right angle: x is south, y is east.
+    place = Georeference("Earth", 6378137.0, 6356752.314245, 47.3, 8.55, (0.0, 1.0, -1.0, 0.0))
+    found, _ = at_a_place(out, tmp_path, place)
+    plane = "+proj=ortho +lat_0=47.3 +lon_0=8.55 +ellps=WGS84 +units=m +no_defs"
+    assert len(found["/rover/fix"]) == SAMPLES
+    for k, (_, message) in enumerate(found["/rover/fix"]):
+        x, y, z = rig_pose(k)[:3, 3]
+        (longitude,), (latitude,) = warp.transform(plane, "EPSG:4326", [y], [-x])
+        assert message.latitude == pytest.approx(latitude, abs=1e-9)
+        assert message.longitude == pytest.approx(longitude, abs=1e-9)
+        assert message.altitude == pytest.approx(z + 250.0, abs=1e-9)
+        assert message.status.status == 0
+        assert message.header.frame_id == found["/rover/odom"][k][1].child_frame_id
+
+
+def test_there_are_no_fixes_on_the_moon_and_it_is_said(out, tmp_path):
+    place = Georeference("Moon", 1_737_400.0, 1_737_400.0, -89.5, 40.25)
+    found, said = at_a_place(out, tmp_path, place)
+    assert "/rover/fix" not in found
+    assert "NavSatFix is of Earth alone" in said
 
 
 def test_imu_messages_are_the_readings_and_come_before_the_pictures_of_their_time(found, out):

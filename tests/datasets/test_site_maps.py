@@ -26,6 +26,7 @@ from scenec.schemas import site_map
 from scenec.schemas.errors import OutputError
 from scenec.schemas.georeference import Georeference
 from scenec.schemas.site_map import LAYERS, MapGrid
+from scenec.schemas.vehicle import TRAVERSABILITY
 from scenec.testing.small import small_cfg, write_cfg
 
 rasterio = pytest.importorskip("rasterio")
@@ -52,6 +53,29 @@ def out(tmp_path_factory):
 def maps(out):
     assert main(["export", str(out), "--format", "map", "--set", "sun_rays=3"]) == 0
     return out / "datasets" / "map"
+
+
+@pytest.mark.parametrize(("settings", "slope_deg"), [((), 17.0), (("--set", "slope_deg=9"), 9.0)])
+def test_traversability_is_for_the_vehicle_that_the_cfg_names(
+    settings, slope_deg, tmp_path, capsys
+):
+    cfg = small_cfg(samples=1)
+    sensor = next(iter(cfg["rigs"]["rover"]["sensors"].values()))
+    sensor["vehicle"] = {"wheel_base_m": 2.8, "slope_deg": 17}
+    path = write_cfg(tmp_path, cfg)
+    assert main(["compile", str(path), "-o", str(tmp_path / "out")]) == 0
+    layers = ["--set", "layers=height,tilt,traversability", *settings]
+    assert main(["export", str(tmp_path / "out"), "--format", "map", *layers]) == 0
+    assert f"slopes of {slope_deg:g}°" in capsys.readouterr().err
+    folder = tmp_path / "out/datasets/map"
+    batch = json.loads((folder / "export.json").read_text())["batches"]["batch_0000"]
+    assert batch["vehicle"]["slope_deg"] == slope_deg
+    # Cells follow its wheelbase, and what is steeper than it drives is a hazard.
+    assert batch["grid"]["cell_m"] == pytest.approx(0.2)
+    with rasterio.open(folder / "batch_0000/tilt.tif") as tilt:
+        steep = tilt.read(1) > slope_deg
+    with rasterio.open(folder / "batch_0000/traversability.tif") as classes:
+        assert (classes.read(1)[steep] == TRAVERSABILITY.index("hazard")).all()
 
 
 def test_each_batch_has_its_layers_tables_and_a_picture(maps, out):

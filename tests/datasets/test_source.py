@@ -12,6 +12,7 @@ import pytest
 
 from scenec.datasets.source import FrameRef, Source, kind_of, sequences
 from scenec.schemas.errors import ForeignFrameError, FrameError, OutputError, StageError
+from scenec.testing.made_frames import make_out
 from scenec.testing.made_output import LABELS, edit, make_output, some_passes
 
 
@@ -230,3 +231,15 @@ def test_the_digest_of_annotation_heeds_every_pass_but_the_picture(tmp_path):
     found.add(digest({k: v for k, v in passes.items() if k != "depth"}))
     found.add(digest({k: np.swapaxes(v, 0, 1) for k, v in passes.items()}))
     assert len(found) == 1 + len(without) + 3
+
+
+def test_a_frame_that_another_renderer_tried_is_not_the_dataset(tmp_path):
+    made = make_out(tmp_path / "made", samples=3).out
+    frames = made / "batch_0000/frames"
+    (whole,) = (path.name for path in frames.iterdir() if path.is_dir())
+    for backend in ("aaa", "annotation"):
+        shutil.copytree(frames / whole, frames / backend)
+    for path in (frames / "aaa").glob("*/000002*"):
+        path.unlink()
+    assert Source(made).backends == (whole, "aaa", "annotation")
+    assert Source(made).backend == whole

@@ -130,6 +130,22 @@ def odd(tmp_path, monkeypatch):
     return Package(tmp_path / "site", monkeypatch)
 
 
+def test_modules_of_an_editable_install_count_though_none_of_its_files_came_with_it(
+    odd, tmp_path, monkeypatch
+):
+    beside = tmp_path / "source" / "odd_numbers.py"
+    beside.parent.mkdir()
+    beside.write_text("K = 1\n")
+    monkeypatch.syspath_prepend(str(beside.parent))
+    (tmp_path / "site" / "odd-1.0.dist-info" / "top_level.txt").write_text("odd\nodd_numbers\n")
+    odd.write(SOURCE)
+    before = plugins.origin("scenec.relief", "lift")
+    assert "(code " in before
+    beside.write_text("K = 2\n")
+    odd.write(SOURCE)
+    assert plugins.origin("scenec.relief", "lift") != before
+
+
 def cfg(folder: Path, **changes: Any) -> Path:
     document = small_cfg(samples=1, outputs=["depth", "up"], **changes)
     document["terrain"] |= {"relief": [{"type": "plane"}, {"type": "lift"}], "spacing_m": 2.0}

@@ -64,7 +64,7 @@ def test_rays_of_a_pattern_meet_level_ground_where_they_should(tmp_path):
     law = {"type": "uniform", "min": 15, "max": 20}
     pattern = {"type": "rosette", "radius_deg": law, "petals": 3, "count": 500}
     compile_cfg(written(tmp_path, cfg(pattern=pattern)), seed=3, out=tmp_path / "out")
-    (stem,) = scan_output(tmp_path / "out", ply=True).scans
+    (stem,) = scan_output(tmp_path / "out", clouds=["ply"]).scans
     scan = read_scan(stem)
     assert scan.sidecar.version == "1.1"
     up, left = (np.radians(scan.arrays[f"{name}_deg"]) for name in ("elevation", "azimuth"))

@@ -29,6 +29,8 @@ _MOMENTS = (-4.89718374, -0.369335331, 0.0540278818, -0.00252520482)
 _FLATTEST, _STEEPEST = 2.0, 5.0
 #: A slope that is less sure is none: three halvings down, heights are then off by half.
 _MOST_UNSURE = 0.4
+#: Squares of pixels that have a spectrum (three bins of 24 modes), and a slope that sure.
+_FEWEST, _ENOUGH = "30 by 30 or more", "55 by 55 pixels are enough"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +79,7 @@ class Downscale:
         if law is None:
             raise SceneError(
                 f"{who}: is flat under the terrain, or has too few pixels there to measure its "
-                "spectrum, or pixels of different sizes: expected 24 by 24 or more, of one size"
+                f"spectrum, or pixels of different sizes: expected {_FEWEST}, of one size"
             )
         if self.slope is not None:
             law = replace(law, slope=self.slope, slope_error=0.0)
@@ -85,7 +87,7 @@ class Downscale:
             raise SceneError(
                 f"{who}: has too few pixels under the terrain: the slope of its spectrum is "
                 f"{law.slope:.3g} ± {law.slope_error:.2g}, expected within {_MOST_UNSURE:g}: give "
-                "slope, or a larger terrain"
+                f"slope, or a larger terrain ({_ENOUGH})"
             )
         if not _FLATTEST <= law.slope <= _STEEPEST:
             raise SceneError(

@@ -233,10 +233,10 @@ def compiled(tmp_path: Path, cfg: dict) -> Path:
 
 def test_scans_of_a_cfg_are_written_read_and_not_made_twice(tmp_path):
     out = compiled(tmp_path, with_lidar())
-    report = scan_output(out, ply=True)
+    report = scan_output(out, clouds=["ply"])
     assert [stem.name for stem in report.scans] == ["000000", "000002"]
     assert report.made == 2
-    assert scan_output(out, ply=True).made == 0
+    assert scan_output(out, clouds=["ply"]).made == 0
     got = read_scan(report.scans[0])
     cloud = trimesh.load(report.scans[0].with_suffix(".ply"))
     there = np.isfinite(got.arrays["range"])
@@ -249,7 +249,7 @@ def test_scans_of_a_cfg_are_written_read_and_not_made_twice(tmp_path):
     np.testing.assert_allclose(pose[:3, 2], -camera[:3, 1], atol=1e-12)
     np.testing.assert_allclose(pose[:3, 3] - camera[:3, 3], -0.4 * camera[:3, 1], atol=1e-12)
     again = compiled(tmp_path, with_lidar())
-    assert scan_output(again, ply=True).made == 0, "compiling the same again keeps scans"
+    assert scan_output(again, clouds=["ply"]).made == 0, "compiling the same again keeps scans"
 
 
 def test_a_pass_that_cannot_be_imported_keeps_no_lidar_from_scanning(tmp_path, monkeypatch):

@@ -8,12 +8,14 @@ from math import cos, erf, radians, sqrt
 from pathlib import Path
 from statistics import NormalDist
 
+import laspy
 import moving_stages as ms
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pxr import Sdf, Usd, UsdGeom
+from scipy.spatial.transform import Rotation
 
 from scenec.backends.annotation.lidar import scan
 from scenec.backends.exact import ExactCaster
@@ -22,6 +24,7 @@ from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import DEFAULT_SURFACE, Lidar, RenderScene
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas import stage as names
+from scenec.schemas.clouds import LAS_STEP_M
 from scenec.schemas.errors import CfgError, StageError
 from scenec.schemas.lidar import LidarDetection, LidarFootprint, LidarIntensity
 from scenec.schemas.scans import read_scan
@@ -255,7 +258,7 @@ FULL = {
 
 
 def test_a_cfg_tells_of_it_and_the_files_have_it(tmp_path):
-    stem = scanned(tmp_path / "full", with_lidar(**FULL), ply=True)
+    stem = scanned(tmp_path / "full", with_lidar(**FULL), clouds=["ply"])
     made = read_scan(stem)
     there = np.isfinite(made.arrays["range"])
     assert there.shape == (16, 90, 3)
@@ -326,3 +329,39 @@ def test_a_stage_that_says_what_cannot_be_is_refused(tmp_path, name, numbers, me
     stage.Save()
     with pytest.raises(StageError, match=f"/World/odd: {name}: {message}"):
         read_stage(path)
+
+
+def test_other_programs_read_the_clouds_of_returns(tmp_path):
+    """LAS by laspy in the world, within half a step; PCD by its header; both hold all answers."""
+    stem = scanned(tmp_path / "full", with_lidar(**FULL), clouds=["pcd", "las"])
+    got = read_scan(stem.with_suffix(".las"))
+    there = np.isfinite(got.arrays["range"])
+    points = got.arrays["points"][there]
+    pose = np.array(got.sidecar.lidar_to_world)
+    las = laspy.read(stem.with_suffix(".las"))
+    world = points.astype(float) @ pose[:3, :3].T + pose[:3, 3]
+    assert np.abs(las.xyz - world).max() < 0.5 * LAS_STEP_M + 1e-9
+    intensity = np.clip(got.arrays["intensity"][there], 0, 1)
+    assert np.abs(np.asarray(las.intensity) / 65535 - intensity).max() < 1e-5
+    level = next(name for name in got.arrays if name.startswith("label."))
+    assert (np.asarray(las.classification) == got.arrays[level][there]).all()
+    assert (las[level.replace(".", "_")] == got.arrays[level][there]).all()
+    assert (las["instance"] == got.arrays["instance"][there]).all()
+    number = there.cumsum(axis=2)
+    many = np.broadcast_to(number[..., -1:], there.shape)
+    assert many.max() > 1
+    assert (np.asarray(las.return_number) == number[there]).all()
+    assert (np.asarray(las.number_of_returns) == many[there]).all()
+    assert (las.gps_time == got.sidecar.time_s).all()
+
+    head, _, data = stem.with_suffix(".pcd").read_bytes().partition(b"DATA binary\n")
+    fields = dict(line.split(" ", 1) for line in head.decode().splitlines()[1:])
+    kinds = {"F": "<f4", "U": "<u4"}
+    names, types = fields["FIELDS"].split(), fields["TYPE"].split()
+    table = np.frombuffer(data, [(n, kinds[t]) for n, t in zip(names, types, strict=True)])
+    assert len(table) == int(fields["POINTS"]) == len(points)
+    assert (np.column_stack([table[axis] for axis in "xyz"]) == points).all()
+    place = [float(value) for value in fields["VIEWPOINT"].split()]
+    turn = Rotation.from_quat(place[3:], scalar_first=True).as_matrix()
+    np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(place[:3], pose[:3, 3], atol=1e-12)

@@ -112,7 +112,7 @@ def test_frames_and_scans_have_the_same_bytes_whoever_makes_them(out, tmp_path, 
         shutil.copytree(out, folder)
         with MAKERS[name]() as executor:
             report = render(folder, "plain", executor=executor, noise_seed=3)
-            scans = scan_output(folder, executor=executor, ply=True)
+            scans = scan_output(folder, executor=executor, clouds=["ply"])
         assert (report.rendered, report.deaths, scans.made) == (9, 0, 9)
         made[name] = bytes_of(folder, ".json")
         again = render(folder, "plain", noise_seed=3)

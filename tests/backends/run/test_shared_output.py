@@ -64,13 +64,13 @@ def test_a_scan_is_whole_or_not_there_whenever_its_process_is_killed(tmp_path):
 
     def write(key: str) -> None:
         arrays = points | {"range_true": np.full((1, 2), len(key))}
-        write_scan(stem, arrays, ScanRecord(resume_key=key, npz=NOT_WRITTEN), ply=True)
+        write_scan(stem, arrays, ScanRecord(resume_key=key, npz=NOT_WRITTEN), clouds=["ply"])
 
     stem.parent.mkdir(parents=True)
     write("old")
     for _ in killed_at_each_call(lambda: write("newer")):
         for key in ("old", "newer"):
-            if is_scanned(stem, key, ply=True):
+            if is_scanned(stem, key, clouds=["ply"]):
                 assert read_scan(stem).arrays["range_true"].max() == len(key)
         write("old")
         sweep([stem.parent])

@@ -215,7 +215,7 @@ def test_what_is_more_complex_has_its_default_and_a_line(tmp_path):
     turned = add(made, "vector2", "rotate2d", "turned", amount=("float", "30"))
     rough = add(made, "float", "image", "rough", file=("filename", "r.png"), texcoord=turned)
     connect(made.getNode("shade"), "specular_roughness", rough)
-    tiles = add(made, "float", "image", "tiles", file=("filename", "r.<UDIM>.png"))
+    tiles = add(made, "float", "image", "tiles", file=("filename", "r.<UVTILE>.png"))
     connect(made.getNode("shade"), "metalness", tiles)
     scene = read_stage(stage_of(tmp_path, made))
     surface = surface_of(scene)

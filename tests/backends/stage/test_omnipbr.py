@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 from pxr import Gf, Sdf, UsdShade
 
+from scenec.backends.check.stage import check_stage
 from scenec.backends.surface import maps
 from scenec.compiler.assets.parse import parse_model
 from scenec.schemas.errors import StageError
@@ -231,3 +232,10 @@ def test_a_model_with_it_has_its_looks(tmp_path):
     assert look.metallic == 0.5
     assert look.slots["base_color"].source == tmp_path / "color.png"
     assert look.notes == ("of OmniPBR is not followed: project_uvw",)
+
+
+def test_check_takes_modules_of_omniverse_as_found_and_pictures_not(tmp_path):
+    stage = written(tmp_path, lambda stage: omnipbr(stage, diffuse_texture="./not_there.png"))
+    said = [finding.message for finding in check_stage(stage)]
+    assert not [line for line in said if ".mdl" in line or "sourceType" in line]
+    assert any("not_there.png does not exist" in line for line in said)

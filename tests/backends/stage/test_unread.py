@@ -96,13 +96,13 @@ def from_node(name: str, node: str):
     return build
 
 
-def materialx_only(stage):
+def of_renderman_only(stage):
     bind(stage, square(stage, "/Root/it").GetPrim())
     material = UsdShade.Material.Get(stage, "/Root/Looks/material")
     material.GetSurfaceOutput().ClearSources()
-    shader = UsdShade.Shader.Define(stage, "/Root/Looks/material/mtlx")
-    shader.CreateIdAttr("ND_standard_surface_surfaceshader")
-    material.CreateSurfaceOutput("mtlx").ConnectToSource(shader.CreateOutput("out", TYPES.Token))
+    shader = UsdShade.Shader.Define(stage, "/Root/Looks/material/ri")
+    shader.CreateIdAttr("PxrSurface")
+    material.CreateSurfaceOutput("ri").ConnectToSource(shader.CreateOutput("out", TYPES.Token))
 
 
 def displaced(stage):
@@ -161,6 +161,12 @@ def colored(found):
 def waving(found):
     for time in range(2):
         found.GetHoleIndicesAttr().Set([time], time)
+
+
+def offset_normals(stage):
+    shape = UsdSkel.BlendShape.Define(stage, "/Root/it")
+    shape.CreateOffsetsAttr([(0, 0, 1)])
+    shape.CreateNormalOffsetsAttr([(1, 0, 0)])
 
 
 def skinned_cube(stage):
@@ -278,7 +284,7 @@ LOSSES = {
         lambda stage: bind(stage, square(stage, "/Root/it").GetPrim(), "Vendor") and None,
         "the surface Vendor is not read",
     ),
-    "materialx": (materialx_only, "a surface for other renderers is not read"),
+    "renderman": (of_renderman_only, "a surface for other renderers is not read"),
     "displacement": (displaced, "the displacement of a material is not read"),
     "clamp": (clamped, "wrap modes"),
     "weak normals": (weak_normals, "scale and bias of a texture of normals are not followed"),
@@ -289,6 +295,7 @@ LOSSES = {
     "cage": (mesh(unsaid), "normals of a mesh without a subdivisionScheme"),
     "normals": (mesh(corner_normals), "normals of face corners"),
     "waves": (mesh(waving), "a shape that deforms stands still"),
+    "bent normals": (offset_normals, "normalOffsets of a BlendShape are not followed"),
     "bones": (skinned_cube, "a skinned shape that is no mesh"),
     "flicker": (mesh(recolored), "primvars that change"),
     "mesh light": (

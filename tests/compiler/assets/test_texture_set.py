@@ -198,19 +198,23 @@ def test_occlusion_of_another_size_is_looked_up_between_its_texels(folder):
     np.testing.assert_allclose(colors(made.maps.files["base_color"]), expected, atol=0.0046)
 
 
-def test_a_packed_picture_s_channels_are_occlusion_roughness_and_metal(folder):
+@pytest.mark.parametrize("order", ["orm", "mro", "rmo"])
+def test_a_packed_picture_s_channels_are_occlusion_roughness_and_metal(folder, order):
     packed = np.random.default_rng(1).integers(0, 255, (16, 16, 3)).astype(np.uint8)
     Image.fromarray(packed).save(folder / "arm.png")
     sources = MapSources(
-        packed=folder / "arm.png", unpacked=("ambient_occlusion", "roughness", "metallic")
+        packed=folder / "arm.png",
+        packed_order=order,
+        unpacked=("ambient_occlusion", "roughness", "metallic"),
     )
     maps = MaterialMaps(1.0, {}, "opengl")
     made, _ = baked(Material((1.0, 1.0, 1.0), 0.5, 0.0, 0.0, maps=maps), sources)
-    for kind, channel in (("roughness", 1), ("metallic", 2)):
-        np.testing.assert_allclose(raw(made.maps.files[kind]), packed[..., channel] / 255.0)
+    for kind in ("roughness", "metallic"):
+        own = packed[..., order.index(kind[0])]
+        np.testing.assert_allclose(raw(made.maps.files[kind]), own / 255.0)
     # Of a material whose color is a number, occlusion is the picture of colors.
     found = colors(made.maps.files["base_color"])[..., 0]
-    np.testing.assert_allclose(found, packed[..., 0] / 255.0, atol=0.0046)
+    np.testing.assert_allclose(found, packed[..., order.index("o")] / 255.0, atol=0.0046)
 
 
 @pytest.mark.parametrize(

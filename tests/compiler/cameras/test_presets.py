@@ -14,6 +14,7 @@ from tools import declarations
 from scenec.backends.annotation.depth_camera import measure_stereo, measure_time_of_flight
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import Camera
+from scenec.cli.main import main
 from scenec.compiler.cfg.load import load
 from scenec.compiler.compile import compile_cfg
 from scenec.schemas.depth_camera import (
@@ -223,3 +224,13 @@ def test_zed_2_has_the_focal_length_that_its_noise_is_stated_for(tmp_path):
     assert PRESETS["zed_2"].keys["depth_camera"]["noise_px"] == pytest.approx(
         0.03 / 9.0 * focal * 0.12, rel=1e-3
     )
+
+
+def test_the_command_line_lists_all_presets_and_says_where_one_is_from(capsys):
+    assert main(["assets", "--cameras", "--json"]) == 0
+    assert [one["preset"] for one in json.loads(capsys.readouterr().out)] == list(PRESETS)
+    for name, preset in PRESETS.items():
+        assert main(["assets", name]) == 0
+        shown = capsys.readouterr().out
+        assert preset.title in shown
+        assert all(SOURCES[source] in shown for source in preset.sources)

@@ -152,6 +152,11 @@ def test_compiling_twice_gives_the_same_bytes(out, tmp_path):
             "/materials/gravel/maps/normal_convention",
             "opengl, directx",
         ),
+        (
+            {"packed_order": "orm"},
+            "/materials/gravel/maps/packed_order",
+            "expected the key packed",
+        ),
     ],
 )
 def test_what_is_wrong_with_maps_is_said_where_it_stands(tmp_path, change, pointer, message):
@@ -162,6 +167,22 @@ def test_what_is_wrong_with_maps_is_said_where_it_stands(tmp_path, change, point
         compile_cfg(write_cfg(tmp_path, cfg), seed=0, out=tmp_path / "out")
     assert [f.pointer for f in caught.value.faults] == [pointer]
     assert message in caught.value.faults[0].message
+
+
+def test_a_packed_picture_of_a_key_gives_what_has_no_key_of_its_own(tmp_path):
+    cfg = mapped_cfg(tmp_path)
+    packed = np.random.default_rng(3).integers(0, 255, (8, 8, 3)).astype(np.uint8)
+    Image.fromarray(packed).save(tmp_path / "mask.png")
+    cfg["materials"]["gravel"]["maps"] |= {
+        "packed": "mask.png", "packed_order": "mor", "ambient_occlusion_strength": 0.0,
+        "resolution": "as_is",
+    }  # fmt: skip
+    compile_cfg(write_cfg(tmp_path, cfg), seed=0, out=tmp_path / "out")
+    textures = tmp_path / "out/batch_0000/textures"
+    assert np.array_equal(read_pixels(textures / "gravel_metallic.png")[..., 0], packed[..., 0])
+    assert (textures / "gravel_roughness.jpg").read_bytes() == (tmp_path / "r.jpg").read_bytes()
+    # Its color stays the file that it is.
+    assert (textures / "gravel_base_color.png").read_bytes() == (tmp_path / "c.PNG").read_bytes()
 
 
 def test_a_material_needs_a_color_from_somewhere_and_maps_need_a_picture(tmp_path):

@@ -14,7 +14,7 @@ from scenec.compiler.assets.looks import ModelMaterial
 from scenec.compiler.assets.model import MeshModel, cached_model
 from scenec.compiler.compile import compile_cfg
 from scenec.compiler.objects.foliage import LEVELS, foliage_chain
-from scenec.compiler.objects.lod import see_levels
+from scenec.compiler.objects.lod import choose_levels, see_levels
 from scenec.compiler.objects.rocks import Chain
 from scenec.compiler.scene.objects import MeshPart, Prototype, Scatter
 from scenec.compiler.views.needed import Keep
@@ -185,19 +185,23 @@ def test_a_tree_counts_as_near_as_its_nearest_leaf():
     chain = _chain(model)
     eye = np.array([[0.0, 0.0, 1.0]])
     far = rng.uniform(30, 60, 8)
-    scatter = Scatter(
-        "trees", None, {}, True, (chain[0],), np.zeros(8, np.int32), np.arange(1, 9), 8,
-        np.stack([far, 0 * far, 0 * far], axis=1).astype(np.float32),
-        np.tile(np.array([0, 0, 0, 1], np.float16), (8, 1)), np.ones((8, 3), np.float32),
-        np.zeros(8, np.float32),
-    )  # fmt: skip
     views = _looking_about(eye)
-    levels = see_levels(scatter, (chain,), views, 1.0, 0.5, small_pieces=True)
+    levels = see_levels(_along_x(chain[0], far), (chain,), views, 1.0, 0.5, small_pieces=True)
     for i, x in enumerate(far.tolist()):
         nearest = np.sqrt((np.add(model.points, (x, 0, 0) - eye) ** 2).sum(axis=1)).min()
         assert 500.0 / nearest <= levels.near[i] * 1.0001
         # Parts are balls of at most 2.5 m.
         assert levels.near[i] <= 500.0 / (nearest - 5.0)
+
+
+def _along_x(mesh: Prototype, x: np.ndarray) -> Scatter:
+    n = len(x)
+    return Scatter(
+        "trees", None, {}, True, (mesh,), np.zeros(n, np.int32), np.arange(1, n + 1), n,
+        np.stack([x, 0 * x, 0 * x], axis=1).astype(np.float32),
+        np.tile(np.array([0, 0, 0, 1], np.float16), (n, 1)), np.ones((n, 3), np.float32),
+        np.zeros(n, np.float32),
+    )  # fmt: skip
 
 
 def _looking_about(eye: np.ndarray) -> Views:
@@ -236,3 +240,42 @@ def test_levels_leave_places_and_ids_as_they_are(tmp_path):
     assert all_of_it["triangles"] == all_of_it["triangles_finest"] == less["triangles_finest"]
     assert less["triangles"] < less["triangles_finest"]
     assert 0.0 < less["lod_error_max_px"] <= 0.5
+
+
+def test_levels_tell_how_far_their_mean_color_is_off():
+    count = 1024
+    rng = np.random.Generator(np.random.Philox(6))
+    of_leaf = rng.uniform(0.0, 1.0, (count, 3)).astype(np.float32)
+    corners = np.repeat(np.repeat(of_leaf, 2, axis=0)[:, None], 3, axis=1)
+    model = _leaves(count)
+    n = len(model.points)
+    finest = Prototype(
+        "plant", model.points.astype(np.float32), model.faces, np.zeros((n, 3), np.float32),
+        np.zeros(n, np.float32), colors=corners,
+    )  # fmt: skip
+    chain = foliage_chain(finest, model)
+    far = np.geomspace(2.0, 2000.0, 64)
+    eye = np.zeros((1, 3))
+    levels = see_levels(_along_x(finest, far), (chain,), _looking_about(eye), 1.0, 1.0)
+    facts = choose_levels(levels)[1]["levels"]
+    assert len(facts) >= 5
+    told = [facts[mesh.name]["color_error"] for mesh in chain if mesh.name in facts]
+    for mesh in chain:
+        if mesh.name not in facts:
+            continue
+        # All leaves have one area; each is two triangles of one color.
+        kept = mesh.colors[::2, 0].astype(np.float64)
+        error = facts[mesh.name]["color_error"]
+        off = np.abs(kept.mean(axis=0) - of_leaf.mean(axis=0, dtype=np.float64)).max()
+        assert error == pytest.approx(off, abs=1e-6)
+        # What a sample of k of N leaves is off by, of uniform colors.
+        assert error <= 4.0 * np.sqrt((1.0 / len(kept) - 1.0 / count) / 12.0) + 1e-6
+    assert max(told) > 0.005
+    assert (
+        "color_error"
+        not in choose_levels(
+            see_levels(
+                _along_x(_chain(model)[0], far), (_chain(model),), _looking_about(eye), 1.0, 1.0
+            )
+        )[1]["levels"]["plant"]
+    )

@@ -57,12 +57,13 @@ def cfg_with(folder, heights, pixel=0.25, **keys):
 @pytest.mark.parametrize("slope", [2.4, 3.0, 3.6, 4.2])
 @pytest.mark.parametrize("n", [64, 256])
 def test_the_law_of_a_made_surface_is_found_within_its_error(slope, n):
-    laws = [fit_spectral_law(surface(seed, n, slope), (PIXEL, PIXEL)) for seed in range(8)]
+    seeds = range(60 if n == 64 else 16)
+    laws = [fit_spectral_law(surface(seed, n, slope), (PIXEL, PIXEL)) for seed in seeds]
     off = np.array([law.slope - slope for law in laws])
     stated = np.array([law.slope_error for law in laws])
-    # Modes are not quite independent: the spread is 1.3 to 1.7 times what is stated.
-    assert np.sqrt((off * off).mean()) < 2.0 * stated.mean()
-    assert np.sqrt((off * off).mean()) < (0.35 if n == 64 else 0.07)
+    # Of so few surfaces the ratio itself is sure to 9 and 18 %.
+    assert 0.7 < np.sqrt((off * off).mean()) / stated.mean() < 1.35
+    assert stated.max() < (0.35 if n == 64 else 0.05)
     level = np.array([law.at_nyquist_m4 / LEVEL for law in laws])
     assert np.exp(np.log(level).mean()) == pytest.approx(1.0, abs=0.15 if n == 64 else 0.05)
 
@@ -142,6 +143,13 @@ def test_what_is_measured_stands_in_the_report_and_is_what_goes_on(tmp_path):
     assert finer["longest_m"] == pytest.approx(0.5)
     # The first noise has cells of 0.33 m, and a grid of 0.2 m shows those of 0.4 m.
     assert (finer["octaves"], finer["octaves_below_grid"]) == (0, 16)
+
+
+@pytest.mark.parametrize("n", [29, 30, 54, 55])
+def test_the_fewest_pixels_are_those_that_the_messages_name(n):
+    law = fit_spectral_law(surface(3, n, 3.2), (PIXEL, PIXEL))
+    assert (law is not None) == (n >= 30)
+    assert (law is not None and law.slope_error < 0.4) == (n >= 55)
 
 
 @pytest.mark.parametrize(
