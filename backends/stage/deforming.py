@@ -7,6 +7,7 @@ brought from the skeleton's frame to the mesh's.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,6 +27,9 @@ TOPOLOGY = "a shape that gains or loses points or faces stays as it is at the fi
 #: What is said of one whose poses would take too much.
 TOO_MANY = "a shape of too many poses, or triangles in them, stands still, as at the first sample"
 
+#: Points of all poses of one shape: what is held until it is known how many there are.
+_MOST_POINTS = 1 << 24
+
 
 @dataclass(frozen=True)
 class ShapePose:
@@ -43,8 +47,9 @@ class ShapePose:
 
     @property
     def key(self) -> tuple[bytes, ...]:
-        """The bytes by which poses are told apart."""
-        return tuple(each.tobytes() for each in (self.points, self.normals) if each is not None)
+        """The digests by which poses are told apart."""
+        arrays = (each for each in (self.points, self.normals) if each is not None)
+        return tuple(hashlib.sha256(each.tobytes()).digest() for each in arrays)
 
 
 class _Skin:
@@ -175,9 +180,12 @@ class Deformations:
                     return [rest], REST
                 if not np.isfinite(pose.points).all():
                     raise StageError(f"{prim.GetPath()}: its skeleton moves points to infinity")
-            if pose.key not in found:
+            key = pose.key
+            if key not in found:
+                if len(poses) * len(rest.points) > _MOST_POINTS:
+                    return poses[:1], TOO_MANY
                 poses.append(pose)
-            found.setdefault(pose.key, []).append(sample)
+            found.setdefault(key, []).append(sample)
         if len(poses) == 1:
             return poses, lost
         shown = np.zeros((len(poses), len(self._times)), bool)

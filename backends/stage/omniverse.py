@@ -111,6 +111,8 @@ _TABLES: dict[tuple[bool, str], _Table] = {
 _NODES = (0.0244717, 0.2061074, 0.5, 0.7938926, 0.9755283)
 #: Radii at which a fitted lens is compared, of each pixel.
 _PER_PIXEL = 4
+#: A corner farther from the optical center than so many pixels is no calibration's.
+_FARTHEST_PX = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,6 +259,11 @@ def _ftheta(
     across, up = k[0, 0], k[1, 1]
     # From the optical center to the farthest corner, in pixels of the calibrated picture.
     far = math.hypot(max(k[0, 2], size[0] - k[0, 2]) / across, max(k[1, 2], size[1] - k[1, 2]) / up)
+    if not far <= _FARTHEST_PX:
+        return (
+            f"a corner of the picture is {far:.3g} pixels from the optical center, at most "
+            f"{_FARTHEST_PX} are taken"
+        )
     end = _half(numbers["fov"])
     radii = np.linspace(0.0, far, int(_PER_PIXEL * far) + 2)
     angles = np.zeros_like(radii)

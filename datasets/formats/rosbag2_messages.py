@@ -24,6 +24,8 @@ _LENSES = {
     KANNALA_BRANDT: [("equidistant", 4)],
 }
 NANO = 1_000_000_000
+#: STATUS_FIX, SERVICE_GPS and COVARIANCE_TYPE_DIAGONAL_KNOWN of sensor_msgs.
+_FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
 
 
 class Messages:
@@ -181,12 +183,12 @@ class Messages:
         return self._make(
             "sensor_msgs/NavSatFix",
             self.header(frame_id, stamp),
-            self._make("sensor_msgs/NavSatStatus", 0, 1),
+            self._make("sensor_msgs/NavSatStatus", _FIX, _GPS),
             float(latitude),
             float(longitude),
             altitude_m,
             np.zeros(9),
-            2,
+            _DIAGONAL_KNOWN,
         )
 
     def path(self, poses: Sequence[NDArray[np.float64]], stamps: Sequence[int]) -> Any:

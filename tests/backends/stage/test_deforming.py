@@ -8,7 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from scenec.backends.annotation.instances import Instances
 from scenec.backends.run.session import Session
-from scenec.backends.stage import meshes
+from scenec.backends.stage import deforming, meshes
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.correspondence import VISIBLE
@@ -233,9 +233,12 @@ def test_what_cannot_be_posed_stands_still_and_is_told(tmp_path, build, line):
     assert told.startswith(line)
 
 
-@pytest.mark.parametrize("limit", ["_MOST_POSED", "_MOST_MATRICES"])
-def test_a_shape_of_too_many_poses_keeps_its_first_one(tmp_path, monkeypatch, limit):
-    monkeypatch.setattr(meshes, limit, 11)
+@pytest.mark.parametrize(
+    ("room", "limit"),
+    [(meshes, "_MOST_POSED"), (meshes, "_MOST_MATRICES"), (deforming, "_MOST_POINTS")],
+)
+def test_a_shape_of_too_many_poses_keeps_its_first_one(tmp_path, monkeypatch, room, limit):
+    monkeypatch.setattr(room, limit, 11)
     scene = opened(tmp_path, armed)
     assert scene.rows.motion is None
     assert scene.losses[0].startswith("a shape of too many poses")

@@ -174,6 +174,7 @@ REFUSED = {
     "wide pinhole": (polynomial((0.0, 0.05, -6e-4), fov=0.0), "do not grow with the distance"),
     "kink": (polynomial((0.0, 0.015, 2e-4)), r"off by up to .* pixels, at most 0\.5 are taken"),
     "flat": (polynomial((0.0, 0.0)), "do not grow with the distance"),
+    "far": (polynomial((0.0, 0.01), fthetaCx=1e9), r"1e\+09 pixels from the optical center"),
 }
 
 
