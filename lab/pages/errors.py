@@ -46,16 +46,23 @@ def ladder_text(ladder: Ladder, told: set[str]) -> str:
     """One ladder: table, what it is against, what half the error costs."""
     header, rows = cells(ladder)
     rows = [[f"**{value}**" if used else value, *rest] for value, used, *rest in rows]
-    lines = [f"Against: {ladder.reference}.", f"Claim: {ladder.claim}."]
+    # Columns in which nothing stands.
+    columns = [
+        column
+        for column in zip([header[0], *header[2:]], *rows, strict=True)
+        if set(column[1:]) != {"-"}
+    ]
+    header, *rows = map(list, zip(*columns, strict=True))
+    lines = [f"Against: {ladder.reference}."]
+    lines += [f"Claim: {ladder.claim}."] if "claimed" in header else []
+    lines += [f"{note[0].upper()}{note[1:]}." for note in ladder.notes]
     lines = [line for line in lines if line not in told]
     told.update(lines)
-    lines.append(half(ladder.slopes))
-    lines += [f"{note[0].upper()}{note[1:]}." for note in ladder.notes]
     return (
-        f"### {ladder.name}: {ladder.what}\n\nErrors in {units(ladder)}.\n\n"
-        + table([header[0], *header[2:]], rows)
+        f"### {ladder.name}: {ladder.what}, in {units(ladder)}\n\n"
+        + table(header, rows)
         + "\n"
-        + "\n".join(f"- {line}" for line in lines)
+        + "\n".join(f"- {line}" for line in [*lines, half(ladder.slopes)])
         + "\n"
     )
 
@@ -86,14 +93,14 @@ def findings(report: LadderReport) -> str:
             )
     if not lines:
         return "\nEvery claim made here bounds what was measured.\n"
-    return "\nClaims that do not bound what was measured:\n\n" + "\n".join(lines) + "\n"
+    return "\nClaims that do not hold:\n\n" + "\n".join(lines) + "\n"
 
 
 def main(page: Page) -> None:
     """Refreshes the page, whose tables are as many as there are approximations."""
     told: set[str] = set()
     page.value("ladders", "\n\n" + "\n".join(scene(page, name, told) for name in SCENES))
-    page.refresh(("scenec", "numpy", "numba"), ())
+    page.refresh(("numpy", "numba"), ())
 
 
 if __name__ == "__main__":

@@ -201,7 +201,7 @@ def _radiance(stage: Path, backend: str, wanted: list[str]) -> dict[str, Any]:
 def main(page: Page) -> None:
     """Refreshes the page."""
     drawn = draw_cases(page)
-    packages = ("scenec", "numpy", "mitsuba", "bpy", "pyrender-maintained")
+    packages = ("numpy", "mitsuba", "bpy", "pyrender-maintained")
     page.refresh(packages, [partial(annotation, drawn=drawn), partial(light, drawn=drawn)])
 
 

@@ -123,6 +123,7 @@ def main(page: Page) -> None:
         path = write_sheet(out, page.scratch / "sheet.png", count=ROWS).path
         with Image.open(path) as sheet:
             save(sheet.convert("RGB"), page.folder / "pictures" / f"{FIRST}.png")
+    page.refresh((), ())
 
 
 if __name__ == "__main__":

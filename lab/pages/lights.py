@@ -74,6 +74,7 @@ def main(page: Page) -> None:
         exposure = found[BACKENDS[0]].sidecar.exposure_ev
         tiles = [(backend, photograph(frame, exposure)) for backend, frame in found.items()]
         save(sheet([tiles], SIZE[0]), page.picture(name))
+    page.refresh((), ())
 
 
 if __name__ == "__main__":

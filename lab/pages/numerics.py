@@ -79,7 +79,7 @@ def spheres(page: Page) -> None:
 def main(page: Page) -> None:
     """Refreshes the page."""
     parts = (elementary_functions, spheres)
-    page.refresh(("scenec", "numpy", "numba"), parts)
+    page.refresh(("numpy", "numba"), parts)
 
 
 if __name__ == "__main__":

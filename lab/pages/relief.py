@@ -343,7 +343,7 @@ def seconds(page: Page) -> None:
 
 def main(page: Page) -> None:
     """Refreshes the page."""
-    page.refresh(("scenec", "numpy", "numba", "scipy"), [
+    page.refresh(("numpy", "numba", "scipy"), [
         gallery, prints, relief_errors.diffusion, relief_errors.rivers, relief_errors.slides,
         lambda page: page.rows(None), craters, relief_errors.horizon, seconds,
     ])  # fmt: skip

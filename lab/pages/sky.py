@@ -93,4 +93,4 @@ def several(page: Page) -> None:
 
 
 if __name__ == "__main__":
-    run(lambda page: page.refresh((), (pictures, several)), page="light")
+    run(lambda page: page.refresh(("numpy",), (pictures, several)), page="light")

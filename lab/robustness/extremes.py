@@ -1,6 +1,6 @@
 """Scenes, objects, cameras, lights and steps at the ends of their ranges: one table.
 
-    python lab/robustness/extremes.py [--only WORD,WORD,...] [--heavy] [-o FILE]
+    python lab/robustness/extremes.py [--only WORD,WORD,...] [--heavy] [-o FOLDER]
 
 Each case runs in a process of its own: a cfg is compiled, its stage read, and a picture annotated
 or drawn by Mitsuba, 16 samples a pixel. The error is that against a closed form, or what the row
@@ -13,7 +13,7 @@ import json
 import math
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.views.needed import Keep
 from scenec.lab.robustness import extreme_dems, extreme_maps
-from scenec.lab.runner import Cell, Study, apart, names, run
+from scenec.lab.runner import Cell, Page, apart, names, run
 from scenec.schemas.errors import ScenecError
 from scenec.testing.extreme_scenes import (
     DOWN,
@@ -474,23 +474,40 @@ def _tried(work: Callable[[Path], Found], folder: Path) -> Found:
         return "refused: " + re.sub(r"\S*extremes\.json(:\d+)*: ", "", line), None
 
 
-def main(study: Study) -> None:
-    """Prints a row a case, as soon as it is there."""
-    wanted = study.options.only
-    table: list[list[Cell]] = []
+def merged(table: list[list[Any]]) -> Iterator[list[Cell]]:
+    """Makes one row of the cases of a group that promise the same: the worst of each number."""
+    groups: dict[tuple[str, ...], list[list[Any]]] = {}
+    for row in table:
+        refused = row[1] if row[1].startswith("refused") else ""
+        groups.setdefault((row[0].partition(":")[0], row[-1], refused), []).append(row)
+    for (group, promise, _), of in groups.items():
+        cases = "; ".join(row[0].partition(": ")[2] for row in of)
+        worst = max(of, key=lambda row: row[2] or 0.0)
+        error = None if worst[2] is None else f"{worst[2]:.1e}"
+        cost = (max(row[i] for row in of) for i in (3, 4))
+        yield [f"{group}: {cases}", worst[1], error, *cost, promise]
+
+
+def main(page: Page) -> None:
+    """Prints a row a case, as soon as it is there; refreshes a row a group."""
+    wanted = page.options.only
+    table: list[list[Any]] = []
     for row in rows():
         if (wanted and row.what.partition(":")[0] not in wanted) or (
-            row.heavy and not study.options.heavy
+            row.heavy and not page.options.heavy
         ):
             continue
-        with tempfile.TemporaryDirectory(dir=study.scratch) as folder:
+        with tempfile.TemporaryDirectory(dir=page.scratch) as folder:
             cost = apart(_tried, row.work, Path(folder))
         words, error = cost.value
-        told = None if error is None else f"{error:.1e}"
-        table.append([row.what, words, told, cost.cpu_s, cost.peak_mib, row.promise])
+        table.append([row.what, words, error, cost.cpu_s, cost.peak_mib, row.promise])
         print(table[-1], flush=True)
-    study.table(["case", "outcome", "error", "CPU s", "MiB", "promised"], table)
+    if page.whole:
+        page.value("tried", str(len(table)))
+        header = ["case", "outcome", "error", "CPU s", "MiB", "promised"]
+        page.block("extremes", header, merged(table))
+        page.refresh(("numpy", "mitsuba"), ())
 
 
 if __name__ == "__main__":
-    run(main, only=names, heavy=False)
+    run(main, page="robustness", only=names, heavy=False)
