@@ -232,4 +232,4 @@ def main(page: Page) -> None:
 
 
 if __name__ == "__main__":
-    run(main, page="robustness", cfgs=2_000, compile=10, seed=0, keep=Path)
+    run(main, page="robustness", cfgs=1_000, compile=10, seed=0, keep=Path)

@@ -524,4 +524,4 @@ def _text(ends: Counter[str]) -> str:
 
 
 if __name__ == "__main__":
-    run(main, page="robustness", runs=36, seed=0, commands=names, only=names)
+    run(main, page="robustness", runs=18, seed=0, commands=names, only=names)

@@ -530,4 +530,4 @@ def main(page: Page) -> None:
 
 
 if __name__ == "__main__":
-    run(main, page="robustness", mutants=50, kinds=names, seed=0, keep=Path)
+    run(main, page="robustness", mutants=20, kinds=names, seed=0, keep=Path)

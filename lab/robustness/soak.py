@@ -227,4 +227,4 @@ def main(page: Page) -> None:
 
 
 if __name__ == "__main__":
-    run(main, page="robustness", frames=1000, compiles=100, works=names)
+    run(main, page="robustness", frames=500, compiles=50, works=names)
