@@ -13,9 +13,11 @@ BENCHMARKS := adapters agreement annotation cold cutouts datasets estimate expos
   incremental optics preview prune throughput
 #: Scripts of lab/ that write measured pages and their pictures; tests/docs/test_measured.py reads it.
 MEASURED := $(addprefix pages/,numerics motion densities rocks errors extremes leaving_out converge sky haze \
-    clouds relief viewers photographs figures lights assets gallery) \
+    clouds relief viewers photographs lights) \
   $(addprefix robustness/,extremes cfgs soak faults fuzz) \
   $(addprefix experiments/,head_to_head ego_motion segmentation instances)
+#: Of pictures alone, which show what stages still hold.
+PICTURES := $(addprefix pages/,figures assets gallery)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup pythons demo test thorough lint types unit audit browser format bench docs measured site lock gpu wheel clean distclean
@@ -83,8 +85,8 @@ bench: setup  ## Run every benchmark; each prints a table.
 docs: setup  ## Generate the cfg's schema and docs/cfg.md from its declarations.
 	@.venv/bin/python -m tools.declarations
 
-measured: setup  ## Measure all pages and pictures anew (XX on two cores), or MEASURED="pages/errors …".
-	@set -e; for name in $(MEASURED); do \
+measured: setup  ## Measure all pages and pictures anew (XX on two cores), or MEASURED="pages/errors …" PICTURES=.
+	@set -e; for name in $(MEASURED) $(PICTURES); do \
 	  echo "== Measuring: $$name"; .venv/bin/python lab/$$name.py; \
 	done
 
