@@ -15,7 +15,7 @@ BENCHMARKS := adapters agreement annotation cold cutouts datasets estimate expos
 MEASURED := $(addprefix pages/,numerics motion densities rocks errors extremes leaving_out converge sky haze \
     clouds relief viewers photographs lights) \
   $(addprefix robustness/,extremes cfgs soak faults fuzz) \
-  $(addprefix experiments/,head_to_head ego_motion segmentation instances)
+  $(addprefix experiments/,head_to_head ego_motion)
 #: Of pictures alone, which show what stages still hold.
 PICTURES := $(addprefix pages/,figures assets gallery)
 
