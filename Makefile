@@ -11,7 +11,7 @@ EXAMPLES := quick
 
 BENCHMARKS := adapters agreement annotation cold cutouts datasets estimate exposure foliage growth imaging \
   incremental optics preview prune throughput
-#: Scripts of lab/ that write measured pages and their pictures.
+#: Scripts of lab/ that write measured pages and their pictures; tests/docs/test_measured.py reads it.
 MEASURED := $(addprefix pages/,numerics motion densities rocks errors extremes leaving_out converge sky haze \
     clouds relief viewers photographs lights) \
   $(addprefix robustness/,extremes cfgs soak faults fuzz) \
