@@ -41,7 +41,7 @@ class Example:
         self.ladder = Ladder(
             spp=(4, 16) if page.fast else (4, 16, 64),
             repeats=2 if page.fast else 4,
-            reference_spp=64 if page.fast else 1024,
+            reference_spp=64 if page.fast else 512,
             denoise=True,
             samples=range(1),
         )

@@ -14,6 +14,13 @@ PAGES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs")
 RECENT = list(
     dict.fromkeys(re.findall(r"^## \[(\d+\.\d+)\.", (ROOT / "CHANGELOG.md").read_text(), re.M))
 )[:3]
+#: What is older, and says so, until somebody has some quiet minutes for it.
+WAITING = {
+    "pages/converge",
+    "pages/leaving_out",
+    "experiments/head_to_head",
+    "experiments/ego_motion",
+}
 
 
 def scripts() -> list[str]:
@@ -30,14 +37,18 @@ def test_a_measured_page_names_its_command_and_a_recent_version(script):
     mark = f"by_{script.rpartition('/')[2]}"
     stamps = re.findall(f"<!--{mark}-->(.*?)<!--/{mark}-->", PAGES[f"{page}.md"])
     made = [re.match(rf"`python lab/{script}\.py`: scenec (\d+\.\d+)", stamp) for stamp in stamps]
-    assert any(one and one[1] in RECENT for one in made), (page, stamps)
+    versions = [one[1] for one in made if one]
+    assert versions, (page, stamps)
+    assert set(versions) <= set(RECENT) or script in WAITING, (page, stamps)
+    assert not set(versions) <= set(RECENT) or script not in WAITING, "it waits no longer"
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_figures_are_of_a_recent_version_or_of_a_machine_with_a_gpu(page):
     for line in PAGES[page].splitlines():
         for version in re.findall(r"\bscenec (\d+\.\d+)\b", line):
-            assert version in RECENT or "GPU" in line or "NVIDIA" in line, line
+            waits = any(f"lab/{script}.py" in line for script in WAITING)
+            assert version in RECENT or waits or "GPU" in line or "NVIDIA" in line, line
 
 
 @pytest.mark.parametrize("page", PAGES)
