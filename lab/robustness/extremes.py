@@ -50,14 +50,14 @@ EYE: dict[str, Any] = {"resolution": [24, 18], "fov_deg": 60}
 def _cfg(
     folder: Path, eye: tuple[float, float, float], sensor: dict[str, Any], turn: Any = DOWN
 ) -> dict[str, Any]:
-    """A plane without stones, and a camera whose place is given over it."""
+    """A plane without stones, and a camera whose place is given over it, or below."""
     case = Case("one", "", eye, turn, sensor)
     cfg: dict[str, Any] = json.loads(extreme_cfg(folder, (case,), stones=0).read_text("utf-8"))
+    cfg["rigs"]["one"]["allow_below"] = True
     return cfg
 
 
 def _compiled(folder: Path, cfg: dict[str, Any], **how: Any) -> Path:
-
     file = folder / "extremes.json"
     file.write_text(json.dumps(cfg), encoding="utf-8")
     return compile_cfg(file, seed=1, out=folder / "out", **how).out / "batch_0000"
@@ -471,7 +471,8 @@ def _tried(work: Callable[[Path], Found], folder: Path) -> Found:
         return work(folder)
     except ScenecError as error:
         line = str(error).splitlines()[0].replace(str(folder) + "/", "").replace("|", "\\|")
-        return "refused: " + re.sub(r"\S*extremes\.json(:\d+)*: ", "", line), None
+        line = re.sub(r"\S*extremes\.json(:\d+)*: ", "", line)
+        return f"refused: {line[:80]}…", None
 
 
 def merged(table: list[list[Any]]) -> Iterator[list[Cell]]:
@@ -482,7 +483,7 @@ def merged(table: list[list[Any]]) -> Iterator[list[Cell]]:
         groups.setdefault((row[0].partition(":")[0], row[-1], refused), []).append(row)
     for (group, promise, _), of in groups.items():
         cases = "; ".join(row[0].partition(": ")[2] for row in of)
-        worst = max(of, key=lambda row: row[2] or 0.0)
+        worst = max(reversed(of), key=lambda row: row[2] or 0.0)
         error = None if worst[2] is None else f"{worst[2]:.1e}"
         cost = (max(row[i] for row in of) for i in (3, 4))
         yield [f"{group}: {cases}", worst[1], error, *cost, promise]
