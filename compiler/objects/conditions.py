@@ -131,8 +131,8 @@ class FromCameras(_Distance):
 
 @dataclass(frozen=True)
 class FromObjects(_Distance):
-    """Distances in plan from the objects of an earlier class, between two bounds: from the circle
-    around each, below 0 within it.
+    """Distances in plan from the objects of an earlier class, from the circle around each; below 0
+    within it.
     """
 
     EXAMPLE: ClassVar = {"type": "object", "of": "lander", "min_m": 2}
