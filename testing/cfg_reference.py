@@ -44,6 +44,8 @@ _SHARED = 3
 _LONG = 10
 #: Bounds from here on only catch slips.
 _NO_BOUND = 1e5
+#: So many keys at most are a list and no table.
+_FEW = 3
 
 
 def make() -> str:
@@ -184,8 +186,8 @@ def _row_of_each(schema: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
     """The keys of a schema and what they are, by their row in its table."""
     required = schema.get("required", [])
     keys = {key: of for key, of in schema.get("properties", {}).items() if "properties" not in of}
-    rows = {key: "".join(_rows("", {key: of}, required)) for key, of in keys.items()}
-    return {row: (key, keys[key]) for key, row in rows.items() if row}
+    rows = {key: str([*_rows("", {key: of}, required)]) for key, of in keys.items()}
+    return {row: (key, keys[key]) for key, row in rows.items() if row != "[]"}
 
 
 def _example(schema: Mapping[str, Any]) -> list[str]:
@@ -202,10 +204,19 @@ def _example(schema: Mapping[str, Any]) -> list[str]:
 
 def _table(schema: Mapping[str, Any]) -> list[str]:
     rows = [*_rows("", schema["properties"], schema.get("required", []))]
-    return [*_COLUMNS, *rows, ""] if rows else []
+    if len(rows) > _FEW:
+        return [*_COLUMNS, *(f"| {' | '.join(row)} |" for row in rows), ""]
+    lines = []
+    for key, kind, default, said in rows:
+        usual = f"default {default}" if default.startswith("`") else default
+        lines.append(f"- {key} ({'; '.join(filter(None, (kind, usual)))}): {said}")
+    return [*lines, ""] if rows else []
 
 
-def _rows(prefix: str, properties: Mapping[str, Any], required: list[str]) -> Iterator[str]:
+def _rows(
+    prefix: str, properties: Mapping[str, Any], required: list[str]
+) -> Iterator[tuple[str, str, str, str]]:
+    """Key, type, default and description of each key."""
     for key, entry in properties.items():
         # A kind's own name stands in the list of kinds and in its example.
         if entry.get("x-ignored") or (key == "type" and "const" in entry):
@@ -213,8 +224,7 @@ def _rows(prefix: str, properties: Mapping[str, Any], required: list[str]) -> It
         default = "required" if key in required else ""
         if "default" in entry:
             default = f"`{json.dumps(entry['default'], ensure_ascii=False)}`"
-        cells = [f"`{prefix}{key}`", _type(entry), default, _escape(entry["description"])]
-        yield "| " + " | ".join(cells) + " |"
+        yield f"`{prefix}{key}`", _type(entry), default, _escape(entry["description"])
         if "properties" in entry:
             yield from _rows(f"{prefix}{key}.", entry["properties"], entry.get("required", []))
         below = entry.get("additionalProperties")

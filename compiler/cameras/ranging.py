@@ -74,8 +74,8 @@ class Stereo:
 
 @dataclass(frozen=True, kw_only=True)
 class TimeOfFlight:
-    """Depth from the phase of modulated light: noise grows with sunlight, the square of the range,
-    and slant.
+    """Depth from the phase of modulated light: noise in sunlight, which grows with the square of
+    the range and with slant.
     """
 
     EXAMPLE: ClassVar = {

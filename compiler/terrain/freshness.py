@@ -47,7 +47,8 @@ _FADE = 4.0
 @dataclass(frozen=True)
 class Freshness(Quantity):
     """Freshness of the ground that craters left, in [0, 1]: the part of a crater's depth that wear
-    has left, within the rim. It halves at 2.3 radii and ends at 5; newer craters cover older ones.
+    has left, within the rim. It halves at 2.3 radii and ends at 5; newer craters cover older ones, later
+    operators change nothing.
     """
 
     EXAMPLE: ClassVar = {"type": "crater_freshness", "min": 0.7, "softness": 0.2}
