@@ -423,7 +423,8 @@ CHOICES = {
     "surface": KindChoice(
         title="Surface",
         description="Pictures of color, roughness and normals that the compiler makes, without "
-        "seams; their means are the material's base_color and roughness.",
+        "seams; their means are the material's base_color and roughness. grain_m is at most a "
+        "quarter of size_m; what is finer than pixels fades.",
         of="Kind of surface.",
         group="scenec.surfaces",
         shared="of_surfaces",

@@ -26,7 +26,7 @@ class Sand(Surface):
     EXAMPLE: ClassVar = {"type": "sand", "ripple_m": 0.08}
 
     grain_m: float = key(GRAIN_M, default=0.0015)
-    """Width of a grain, at most a quarter of size_m; what is finer than pixels fades."""
+    """Width of a grain."""
     ripple_m: float = key(forms.LENGTH_PER_BATCH, default=0.09, at_least=0, at_most=1_000_000)
     """Wavelength of the ripples; 0: none."""
 
@@ -66,8 +66,7 @@ class Gravel(Surface):
     EXAMPLE: ClassVar = {"type": "gravel", "displacement": True}
 
     grain_m: float = key(GRAIN_M, default=0.03)
-    """Width of a middle-sized stone, at most a quarter of size_m; what is finer than pixels
-    fades."""
+    """Width of a middle-sized stone."""
 
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.4
@@ -110,7 +109,7 @@ class MudCracks(Surface):
     TITLE: ClassVar = "Surface: mud_cracks"
 
     grain_m: float = key(GRAIN_M, default=0.2)
-    """Width of a polygon, at most a quarter of size_m; what is finer than pixels fades."""
+    """Width of a polygon."""
     gape: float = key(forms.FRACTION_PER_BATCH, default=0.06)
     """Width of the cracks, in widths of a polygon."""
 
@@ -150,8 +149,7 @@ class Regolith(Surface):
     EXAMPLE: ClassVar = {"type": "regolith"}
 
     grain_m: float = key(GRAIN_M, default=0.04)
-    """Middle size: the largest craters are three times as wide, the smallest fragments a tenth. At
-    most a quarter of size_m; what is finer than pixels fades."""
+    """Middle size: the largest craters are three times as wide, the smallest fragments a tenth."""
     craters: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """Share of the places for small craters that have one."""
     stones: float = key(forms.FRACTION_PER_BATCH, default=0.6)
@@ -198,8 +196,7 @@ class Soil(Surface):
     EXAMPLE: ClassVar = {"type": "soil", "litter": 0.3}
 
     grain_m: float = key(GRAIN_M, default=0.02)
-    """Width of a middle-sized clod, at most a quarter of size_m; what is finer than pixels
-    fades."""
+    """Width of a middle-sized clod."""
     litter: float = key(forms.FRACTION_PER_BATCH, default=0.3)
     """Share of places for bits of plants that have one."""
 
@@ -247,8 +244,7 @@ class Pavement(Surface):
     EXAMPLE: ClassVar = {"type": "pavement", "grain_m": 0.04, "darkness": 0.6}
 
     grain_m: float = key(GRAIN_M, default=0.03)
-    """Middle size: the largest stones are four times as wide, the smallest granules a tenth. At
-    most a quarter of size_m; what is finer than pixels fades."""
+    """Middle size: the largest stones are four times as wide, the smallest granules a tenth."""
     stones: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """Share of the places for stones that have one, on average."""
     darkness: float = key(forms.FRACTION_PER_BATCH, default=0.5)

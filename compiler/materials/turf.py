@@ -29,8 +29,7 @@ class Turf(Surface):
     EXAMPLE: ClassVar = {"type": "turf", "fresh": 0.3}
 
     grain_m: float = key(GRAIN_M, default=0.06)
-    """Width of a middle-sized tuft, at most a quarter of size_m; what is finer than pixels
-    fades."""
+    """Width of a middle-sized tuft."""
     fresh: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """Share of the blades that are green; more and less of them in patches."""
 

@@ -218,11 +218,11 @@ class Height(Quantity):
     min_m: float | None = key(
         LENGTH_PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000
     )
-    """Smallest height; left out, no bound."""
+    """Smallest height."""
     max_m: float | None = key(
         LENGTH_PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000
     )
-    """Largest height; left out, no bound."""
+    """Largest height."""
     softness_m: float = key(SOFTNESS_M)
     ragged: Ragged | None = key(RAGGED, optional=True)
 
@@ -241,9 +241,9 @@ class Slope(Quantity):
     USUAL: ClassVar = {"relief_mask": {"over_m": 0.0}}
 
     min_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Smallest slope; left out, no bound."""
+    """Smallest slope."""
     max_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Largest slope; left out, no bound."""
+    """Largest slope."""
     softness_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=0, at_most=1_000_000_000)
     """Width over which it fades about a bound, half on either side. On the ground at least an
     eighth of the change over a spacing."""
@@ -268,11 +268,11 @@ class Curvature(Quantity):
     min_per_m: float | None = key(
         PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000, unit="1/m"
     )
-    """Smallest curvature; left out, no bound."""
+    """Smallest curvature."""
     max_per_m: float | None = key(
         PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000, unit="1/m"
     )
-    """Largest curvature; left out, no bound."""
+    """Largest curvature."""
     softness_per_m: float = key(PER_BATCH, default=0, at_least=0, at_most=1_000_000_000, unit="1/m")
     """Width over which it fades about a bound, half on either side. On the ground at least an
     eighth of the change over a spacing."""
@@ -299,11 +299,11 @@ class Flow(Quantity):
     min_m2: float | None = key(
         PER_BATCH, optional=True, above=0, at_most=1_000_000_000_000, unit="m²"
     )
-    """Smallest area; left out, no bound."""
+    """Smallest area."""
     max_m2: float | None = key(
         PER_BATCH, optional=True, above=0, at_most=1_000_000_000_000, unit="m²"
     )
-    """Largest area; left out, no bound."""
+    """Largest area."""
     softness_doublings: float = key(PER_BATCH, default=1, at_least=0, at_most=1_000_000_000)
     """Doublings of the area over which it fades about a bound, half on either side. On the ground
     at least an eighth of the change over a spacing."""
@@ -339,9 +339,9 @@ class Noise(Quantity):
     lacunarity: float = key(LACUNARITY)
     gain: float = key(GAIN)
     min: float | None = key(PER_BATCH, optional=True, at_least=-100, at_most=1_000_000_000)
-    """Smallest value; left out, no bound."""
+    """Smallest value."""
     max: float | None = key(PER_BATCH, optional=True, at_least=-100, at_most=1_000_000_000)
-    """Largest value; left out, no bound."""
+    """Largest value."""
     softness: float = key(PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
     """Width over which it fades about a bound, half on either side. On the ground at least an
     eighth of the change over a spacing."""
@@ -377,9 +377,9 @@ class FromPoint(Quantity):
     y_m: float = key(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
     """The point's y."""
     min_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Smallest distance; left out, no bound."""
+    """Smallest distance."""
     max_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Largest distance; left out, no bound."""
+    """Largest distance."""
     softness_m: float = key(SOFTNESS_M)
     ragged: Ragged | None = key(RAGGED, optional=True)
 
@@ -409,9 +409,9 @@ class FromPath(Quantity):
     file: Path = key(file("polyline"))
     """CSV of points, columns x_m and y_m, relative to the cfg, or "package:NAME/path"."""
     min_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Smallest distance; left out, no bound."""
+    """Smallest distance."""
     max_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Largest distance; left out, no bound."""
+    """Largest distance."""
     softness_m: float = key(SOFTNESS_M)
     ragged: Ragged | None = key(RAGGED, optional=True)
 
