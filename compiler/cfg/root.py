@@ -38,7 +38,7 @@ class Cfg:
     description: str = key(forms.TEXT, default="")
     """What the dataset is for; not read."""
     batches: int = key(forms.COUNT, default=1, at_least=1, at_most=1_000_000)
-    """Batches: a terrain with its objects, one stage, each."""
+    """Number of batches; each is one terrain with its objects, one stage."""
     samples: int = key(forms.COUNT, default=1, at_least=1, at_most=1_000_000)
     """Samples of each batch. A sample is one picture of every sensor: cameras and light change,
     terrain and scattered objects do not."""
