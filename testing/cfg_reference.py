@@ -44,6 +44,8 @@ _SHARED = 3
 _LONG = 10
 #: Bounds from here on only catch slips.
 _NO_BOUND = 1e5
+#: A space at which no line breaks.
+_KEPT = "\u00a0"
 #: So many keys at most are a list and no table.
 _FEW = 3
 
@@ -301,11 +303,11 @@ def _bounds(entry: Mapping[str, Any]) -> str:
     low = ends.get("exclusiveMinimum", ends.get("minimum"))
     high = ends.get("exclusiveMaximum", ends.get("maximum"))
     if high is None:
-        return f", {'>' if 'exclusiveMinimum' in ends else '≥'} {low}"
+        return f", {'>' if 'exclusiveMinimum' in ends else '≥'}{_KEPT}{low}"
     if low is None:
-        return f", {'<' if 'exclusiveMaximum' in ends else '≤'} {high}"
+        return f", {'<' if 'exclusiveMaximum' in ends else '≤'}{_KEPT}{high}"
     left, right = ("[" if "minimum" in ends else "("), ("]" if "maximum" in ends else ")")
-    return f", {left}{low}, {high}{right}"
+    return f", {left}{low},{_KEPT}{high}{right}"
 
 
 def _anchor(title: str) -> str:
