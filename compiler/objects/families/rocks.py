@@ -51,12 +51,9 @@ class Rocks(Scattered):
     material: str = key(forms.TEXT)
     """Name of a material."""
     family: str = key(Form({"x-open": "scenec.rocks", "enum": list(ROCKS)}), default="weathered")
-    """weathered: worn blocks with spalls and pits, by angularity. angular: broken along planes,
-    fresh faces lighter. rounded: cobbles. slab: layered plates with stepped sides, lying flat.
-    vesicular: basalt with bubbles, darker inside. ventifact: faces cut by blown sand, meeting in
-    keels, one of them into the wind of the relief's dunes, barchans or ripples, or else a drawn
-    one. bedded: layered blocks, soft beds weathered back. breccia: angular pieces in a receded
-    matrix. Ventifacts and bedded blocks stand upright unless orientation says otherwise."""
+    """Kind of rock; docs/objects.md shows them. Slabs lie flat, ventifacts and bedded blocks stand
+    upright, unless orientation says otherwise. Ventifacts face the wind of the relief's dunes,
+    barchans or ripples, or else a drawn one."""
     prototypes: int = key(forms.WHOLE_PER_BATCH, default=6, at_least=1, at_most=64)
     """Number of different shapes."""
     subdivisions: int = key(forms.WHOLE_PER_BATCH, default=3, at_least=1, at_most=6)
