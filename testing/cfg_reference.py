@@ -15,6 +15,7 @@ from typing import Any
 
 from scenec.compiler.kinds.schema import NUMBER, ROOT, load_schemas
 from scenec.schemas.passes import BUILT_IN
+from scenec.schemas.presets import PRESETS
 
 #: An example that is longer gets several lines.
 _LINE = 90
@@ -44,6 +45,8 @@ _SHARED = 3
 _LONG = 10
 #: Bounds from here on only catch slips.
 _NO_BOUND = 1e5
+#: Values that a table of their own lists.
+_LISTED = {tuple(BUILT_IN): "[output](#outputs)", tuple(PRESETS): "[preset](presets.md)"}
 #: A space at which no line breaks.
 _KEPT = "\u00a0"
 #: So many keys at most are a list and no table.
@@ -262,8 +265,8 @@ def _type(entry: Mapping[str, Any]) -> str:
         return f"[{title}](#{_anchor(title)})" + (" or null" if "null" in (null or "") else "")
     if "const" in entry:
         return f"`{json.dumps(entry['const'])}`"
-    if entry.get("enum") == [*BUILT_IN]:
-        return "[output](#outputs)"
+    if tuple(entry.get("enum", ())) in _LISTED:
+        return _LISTED[tuple(entry["enum"])]
     if "enum" in entry:
         return ", ".join(f"`{json.dumps(value)}`" for value in entry["enum"])
     if "prefixItems" in entry:

@@ -108,7 +108,7 @@ class SensorKeys:
     }
 
     preset: str | None = key(one_of(*PRESETS), sparse=True)
-    """A camera that people own (docs/presets.md): its keys, unless given here; null removes one."""
+    """A camera that people own: its keys, unless given here; null removes one."""
     resolution: tuple[int, int] = key(
         list_of(bounded(COUNT, at_least=1, at_most=65_535), "Pixels along one axis.", count=2),
         optional=True,
