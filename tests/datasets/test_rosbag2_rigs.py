@@ -197,6 +197,8 @@ def test_imu_messages_are_the_readings_and_come_before_the_pictures_of_their_tim
         assert np.allclose(message.angular_velocity_covariance, np.eye(3).ravel() * 1e-8 * 10)
         assert np.allclose(message.linear_acceleration_covariance, np.eye(3).ravel() * 9e-6 * 10)
         assert message.orientation_covariance[0] == -1.0
+        turn = message.orientation
+        assert turn.x == turn.y == turn.z == turn.w == 0.0
     with Reader(out / "bag/all/batch_0000") as reader:
         order = [(time, c.topic) for c, time, _ in reader.messages()]
     assert [time for time, _ in order] == sorted(time for time, _ in order)
