@@ -166,7 +166,7 @@ class RigsOfBag:
         return roles
 
     def optical(self, camera: str) -> str:
-        """Returns the frame of a camera's pictures: its own, or that of the left one of its pair."""
+        """Returns the frame of a camera's pictures: its own, or its left partner's."""
         if self._form.option("topics") in IN_LEFT_FRAME:
             rights = {right: left for left, (right, _) in self.pairs.items()}
             rights.update({right: left for left, right in self._rectified_pairs()})
