@@ -65,7 +65,8 @@ class Part:
         points: Float32 [n, 3].
         faces: Vertex indices, int32 [m, 3].
         normals: Shading normals at the vertices, float32 [n, 3], or None (flat).
-        colors: Linear Rec.709 at the vertices, float32 [n, 3], in place of the look's; or None.
+        colors: Linear Rec.709 at the vertices, float32 [n, 3], or None: in a coarse model in place
+            of the look's, in a whole one a factor of it.
         uv: Texture coordinates at the corners, v up, float32 [m, 3, 2], or None.
         labels: Per level, the label id of each triangle, uint32 [m].
         look: Index into ``Model.looks``.

@@ -116,23 +116,26 @@ def full_model(scene: RenderScene, name: str, *, texels: int) -> Model:
             "ground: merges of layers are baked into pictures, as seen from above; their normal "
             "and roughness maps are not",
         ]
-    place = {}
+    place, default = {}, len(looks)
+    looks.append(Look("default", (0.18, 0.18, 0.18), 0.5))
     for placement, meshes in _groups(scene, origin):
         for index in meshes:
             if index not in place:
                 place[index] = len(parts)
                 mesh = scene.meshes[index]
-                colors = None
-                if len(mesh.layers) > 1:
-                    colors = vertex_colors(scene, mesh).astype(np.float32)
-                elif mesh.color is not None:
-                    colors = vertex_color(mesh)
                 surface = surfaces_of(scene, mesh)[0]
+                look = mesh.layers[0] if mesh.layers else default
+                colors = None if mesh.color is None else vertex_color(mesh)
+                if len(mesh.layers) > 1 and looks[look].picture is not None:
+                    losses.append(f"{mesh.path}: what coats its picture is left out")
+                elif len(mesh.layers) > 1:
+                    # Whole colors, which a look's own would multiply.
+                    colors = vertex_colors(scene, mesh).astype(np.float32)
+                    look = len(looks)
+                    looks.append(Look(f"coated_{look:03d}", (1.0, 1.0, 1.0), surface.roughness))
                 parts.append(Part(mesh.path, mesh.points, mesh.faces, mesh.normals, colors,
-                                  _object_uv(mesh, surface), mesh.labels,
-                                  mesh.layers[0] if mesh.layers else len(looks)))  # fmt: skip
+                                  _object_uv(mesh, surface), mesh.labels, look))  # fmt: skip
         placements.append(replace(placement, parts=tuple(place[m] for m in meshes)))
-    looks.append(Look("default", (0.18, 0.18, 0.18), 0.5))
     losses += _looks_lost(scene)
     if any(sun.gobo for lighting in scene.lighting for sun in lighting.suns):
         losses.append("light: shadows of clouds are left out, suns have their mean")
