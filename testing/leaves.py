@@ -23,12 +23,13 @@ CARD, AWAY, WIDE, FOV = 2.0, 4.0, 160, 50.0
 FORMATS = ("leaf.glb", "leaf.obj", "leaf.usda")
 
 
-def picture() -> Image.Image:
+def picture(side: int = SIDE, radius: float = RADIUS, ramp: float = 8.0) -> Image.Image:
     """Draws a disk of alpha, whose edge is a ramp of some texels that is 0.5 at the radius."""
-    y, x = np.mgrid[:SIDE, :SIDE] + 0.5 - SIDE / 2
-    texels = np.full((SIDE, SIDE, 4), (40, 160, 50, 0), np.uint8)
-    texels[..., 0] = np.arange(SIDE)
-    texels[..., 3] = np.rint(255 * np.clip(0.5 + (RADIUS - np.hypot(x, y)) / 8, 0.0, 1.0))
+    y, x = np.mgrid[:side, :side] + 0.5 - side / 2
+    texels = np.full((side, side, 4), (40, 160, 50, 0), np.uint8)
+    texels[..., 0] = np.minimum(np.arange(side), 255)
+    alpha = np.clip(0.5 + (radius - np.hypot(x, y)) / ramp, 0.0, 1.0)
+    texels[..., 3] = np.rint(255 * alpha)
     return Image.fromarray(texels)
 
 

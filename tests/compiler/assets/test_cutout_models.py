@@ -45,6 +45,27 @@ def test_a_leaf_has_the_area_of_its_mask_and_not_of_its_card(tmp_path, name):
     assert made.losses == ()
 
 
+def test_the_case_alpha_leaf_has_the_pixels_of_its_hard_disk(tmp_path):
+    """It was handed in with 3,546 pixels, give or take its contour of 211."""
+    file = leaf(tmp_path, "leaf.glb")
+    side, radius = 256, 100.0
+    disk = picture(side, radius, ramp=1e-6)
+    assert np.count_nonzero(np.asarray(disk)[..., 3]) == 31_428
+    disk.save(tmp_path / "leaf.png")
+    made = compiled(tmp_path, file)
+    row = ExactCaster(made).cast(camera_rays(made.cameras[0][0]))[0].reshape(120, WIDE)
+    (number,) = [i for i, m in enumerate(made.rows.mesh) if made.cutout_of(made.meshes[m])]
+    found = row == number
+    assert abs(np.count_nonzero(found) - 3546) <= 211
+    # By hand: where pixels' rays meet the card, in texels from its middle.
+    focal = 0.5 * WIDE / np.tan(np.radians(FOV / 2))
+    y, x = (np.mgrid[:120, :WIDE] + 0.5 - np.array([60, WIDE / 2])[:, None, None]) / focal
+    texels = np.hypot(x, y) * AWAY * side / CARD
+    assert found[texels < radius - 1].all()
+    assert not found[texels > radius + 1].any()
+    assert np.count_nonzero(np.abs(texels - radius) <= 1) < 211
+
+
 @pytest.mark.parametrize(
     ("keys", "told"),
     [
