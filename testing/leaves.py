@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +34,21 @@ def picture(side: int = SIDE, radius: float = RADIUS, ramp: float = 8.0) -> Imag
     return Image.fromarray(texels)
 
 
-def gltf(material: dict[str, Any], sampler: dict[str, int] | None = None) -> bytes:
-    """Writes a card of 2 m that stands upright on the origin, its picture beside it."""
+def gltf(
+    material: dict[str, Any],
+    sampler: dict[str, int] | None = None,
+    pictures: Sequence[str] = ("leaf.png",),
+    repeats: tuple[float, float] = (1.0, 1.0),
+) -> bytes:
+    """Writes a card of 2 m that stands upright on the origin, its pictures beside it."""
     points = np.array([[-1, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]], np.float32)
-    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+    # Counted from the top of the first picture.
+    low, wide = 1.0 - repeats[1], repeats[0]
+    uv = np.array([[0, 1], [wide, 1], [wide, low], [0, low]], np.float32)
     corners = np.array([0, 1, 2, 0, 2, 3], np.uint16)
     parts = [array.tobytes() for array in (points, uv, corners)]
     starts = np.cumsum([0, *map(len, parts)]).tolist()
-    texture = {"source": 0} | ({} if sampler is None else {"sampler": 0})
+    used = {} if sampler is None else {"sampler": 0}
     return glb(
         {
             "asset": {"version": "2.0"},
@@ -68,8 +76,8 @@ def gltf(material: dict[str, Any], sampler: dict[str, int] | None = None) -> byt
             ],
             "buffers": [{"byteLength": starts[-1]}],
             "materials": [{"name": "leaf", **material}],
-            "images": [{"uri": "leaf.png"}],
-            "textures": [texture],
+            "images": [{"uri": name} for name in pictures],
+            "textures": [{"source": i, **used} for i in range(len(pictures))],
             "samplers": [sampler or {}],
         },
         b"".join(parts),
