@@ -177,3 +177,75 @@ def card(file: Path, **keys: Any) -> dict[str, Any]:
             }
         },
     }
+
+
+def packed_card(file: Path, form: str, repeats: tuple[float, float]) -> Path:
+    """Writes a card of 2 m that stands on the origin, with two pictures.
+
+    Args:
+        file: Of one of ``FORMATS``' endings.
+        form: Their names, of ``color`` (with alpha) and ``packed`` (roughness, metal).
+        repeats: Of the texture coordinates over the card, across and up.
+    """
+    color, packed = form.format("color"), form.format("packed")
+    wide, high = repeats
+    if file.suffix == ".glb":
+        pbr = {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}}
+        look: dict[str, Any] = {"alphaMode": "MASK", "pbrMetallicRoughness": pbr}
+        file.write_bytes(gltf(look, None, (color, packed), repeats))
+    elif file.suffix == ".obj":
+        file.write_text(
+            "mtllib card.mtl\nv -1 0 0\nv 1 0 0\nv 1 0 2\nv -1 0 2\n"
+            f"vt 0 0\nvt {wide} 0\nvt {wide} {high}\nvt 0 {high}\nusemtl a\nf 1/1 2/2 3/3 4/4\n"
+        )
+        maps = f"map_Kd {color}\nmap_d {color}\nmap_Pr {packed}\nmap_Pm {packed}\n"
+        file.with_suffix(".mtl").write_text(f"newmtl a\n{maps}")
+    else:
+        nodes = "".join(
+            f"""    def Shader "{name}" {{
+        uniform token info:id = "UsdUVTexture"
+        asset inputs:file = @./{picture}@
+        float2 inputs:st.connect = </look/st.outputs:result>
+        color3f outputs:rgb
+        float outputs:g
+        float outputs:b
+        float outputs:a
+    }}
+"""
+            for name, picture in (("color", color), ("packed", packed))
+        )
+        file.write_text(f"""#usda 1.0
+(
+    defaultPrim = "card"
+    upAxis = "Z"
+    metersPerUnit = 1
+)
+def Mesh "card" (prepend apiSchemas = ["MaterialBindingAPI"]) {{
+    uniform token subdivisionScheme = "none"
+    int[] faceVertexCounts = [4]
+    int[] faceVertexIndices = [0, 1, 2, 3]
+    point3f[] points = [(-1, 0, 0), (1, 0, 0), (1, 0, 2), (-1, 0, 2)]
+    texCoord2f[] primvars:st = [(0, 0), ({wide}, 0), ({wide}, {high}), (0, {high})] (
+        interpolation = "vertex"
+    )
+    rel material:binding = </look>
+}}
+def Material "look" {{
+    token outputs:surface.connect = </look/surface.outputs:surface>
+    def Shader "surface" {{
+        uniform token info:id = "UsdPreviewSurface"
+        color3f inputs:diffuseColor.connect = </look/color.outputs:rgb>
+        float inputs:opacity.connect = </look/color.outputs:a>
+        float inputs:opacityThreshold = 0.5
+        float inputs:roughness.connect = </look/packed.outputs:g>
+        float inputs:metallic.connect = </look/packed.outputs:b>
+        token outputs:surface
+    }}
+    def Shader "st" {{
+        uniform token info:id = "UsdPrimvarReader_float2"
+        string inputs:varname = "st"
+        float2 outputs:result
+    }}
+{nodes}}}
+""")
+    return file

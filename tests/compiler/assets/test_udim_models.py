@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from PIL import Image
 from scenec.compiler.assets.model import parsed_model, read_model
 from scenec.schemas import udim
 from scenec.schemas.errors import SceneError
-from scenec.testing.leaves import gltf
+from scenec.testing.leaves import packed_card
 
 COLUMNS, ROWS, SIDE = 3, 2, 4
 KINDS = ("base_color", "opacity", "roughness", "metallic")
@@ -37,72 +36,6 @@ def store(folder: Path, name: str, missing: tuple[int, int] | None = None) -> No
             tile.save(folder / f"{name}.{1001 + column + 10 * row}.png")
 
 
-def card(file: Path, form: str, repeats: tuple[float, float]) -> Path:
-    """A card with two pictures, of color with alpha and of packed numbers, named by ``form``."""
-    color, packed = form.format("color"), form.format("packed")
-    wide, high = repeats
-    if file.suffix == ".glb":
-        pbr = {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}}
-        look: dict[str, Any] = {"alphaMode": "MASK", "pbrMetallicRoughness": pbr}
-        file.write_bytes(gltf(look, None, (color, packed), repeats))
-    elif file.suffix == ".obj":
-        file.write_text(
-            "mtllib card.mtl\nv -1 0 0\nv 1 0 0\nv 1 0 2\nv -1 0 2\n"
-            f"vt 0 0\nvt {wide} 0\nvt {wide} {high}\nvt 0 {high}\nusemtl a\nf 1/1 2/2 3/3 4/4\n"
-        )
-        maps = f"map_Kd {color}\nmap_d {color}\nmap_Pr {packed}\nmap_Pm {packed}\n"
-        file.with_suffix(".mtl").write_text(f"newmtl a\n{maps}")
-    else:
-        nodes = "".join(
-            f"""    def Shader "{name}" {{
-        uniform token info:id = "UsdUVTexture"
-        asset inputs:file = @./{picture}@
-        float2 inputs:st.connect = </look/st.outputs:result>
-        color3f outputs:rgb
-        float outputs:g
-        float outputs:b
-        float outputs:a
-    }}
-"""
-            for name, picture in (("color", color), ("packed", packed))
-        )
-        file.write_text(f"""#usda 1.0
-(
-    defaultPrim = "card"
-    upAxis = "Z"
-    metersPerUnit = 1
-)
-def Mesh "card" (prepend apiSchemas = ["MaterialBindingAPI"]) {{
-    uniform token subdivisionScheme = "none"
-    int[] faceVertexCounts = [4]
-    int[] faceVertexIndices = [0, 1, 2, 3]
-    point3f[] points = [(-1, 0, 0), (1, 0, 0), (1, 0, 2), (-1, 0, 2)]
-    texCoord2f[] primvars:st = [(0, 0), ({wide}, 0), ({wide}, {high}), (0, {high})] (
-        interpolation = "vertex"
-    )
-    rel material:binding = </look>
-}}
-def Material "look" {{
-    token outputs:surface.connect = </look/surface.outputs:surface>
-    def Shader "surface" {{
-        uniform token info:id = "UsdPreviewSurface"
-        color3f inputs:diffuseColor.connect = </look/color.outputs:rgb>
-        float inputs:opacity.connect = </look/color.outputs:a>
-        float inputs:opacityThreshold = 0.5
-        float inputs:roughness.connect = </look/packed.outputs:g>
-        float inputs:metallic.connect = </look/packed.outputs:b>
-        token outputs:surface
-    }}
-    def Shader "st" {{
-        uniform token info:id = "UsdPrimvarReader_float2"
-        string inputs:varname = "st"
-        float2 outputs:result
-    }}
-{nodes}}}
-""")
-    return file
-
-
 def read(file: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Pixels of its pictures by kind, and its texture coordinates."""
     model = read_model(file, unit_m=1.0, up="z")
@@ -123,12 +56,12 @@ def read(file: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
 def test_tiles_are_one_picture_with_coordinates_over_all_of_it(tmp_path, name):
     for picture in ("color", "packed"):
         store(tmp_path, picture)
-    tiled, uv = read(card(tmp_path / name, "{}.<UDIM>.png", (COLUMNS, ROWS)))
+    tiled, uv = read(packed_card(tmp_path / name, "{}.<UDIM>.png", (COLUMNS, ROWS)))
     other = tmp_path / "whole"
     other.mkdir()
     for picture in ("color", "packed"):
         store(other, picture)
-    plain, plain_uv = read(card(other / name, "{}.png", (1.0, 1.0)))
+    plain, plain_uv = read(packed_card(other / name, "{}.png", (1.0, 1.0)))
     assert set(tiled) == set(plain) == set(KINDS)
     for kind in KINDS:
         np.testing.assert_array_equal(tiled[kind], plain[kind], err_msg=kind)
@@ -144,7 +77,7 @@ def test_tiles_are_one_picture_with_coordinates_over_all_of_it(tmp_path, name):
 def test_a_missing_tile_is_black_rough_and_solid(tmp_path, name):
     for picture in ("color", "packed"):
         store(tmp_path, picture, missing=(1, 0))
-    pixels, _ = read(card(tmp_path / name, "{}.<UDIM>.png", (COLUMNS, ROWS)))
+    pixels, _ = read(packed_card(tmp_path / name, "{}.<UDIM>.png", (COLUMNS, ROWS)))
     hole = np.zeros((ROWS * SIDE, COLUMNS * SIDE), bool)
     hole[SIDE:, SIDE : 2 * SIDE] = True
     for kind, value in zip(KINDS, (0, 255, 255, 0), strict=True):
@@ -158,7 +91,7 @@ def test_a_picture_in_no_tiles_is_in_each_of_the_others(tmp_path):
     store(tmp_path, "packed")
     single = whole("color")[:SIDE, :SIDE]
     Image.fromarray(single).save(tmp_path / "color.png")
-    file = card(tmp_path / "card.obj", "{}.<UDIM>.png", (COLUMNS, ROWS))
+    file = packed_card(tmp_path / "card.obj", "{}.<UDIM>.png", (COLUMNS, ROWS))
     look = file.with_suffix(".mtl")
     look.write_text(look.read_text().replace("color.<UDIM>.png", "color.png"))
     pixels, uv = read(file)
@@ -171,7 +104,7 @@ def test_a_picture_in_no_tiles_is_in_each_of_the_others(tmp_path):
 
 def test_tiles_that_make_no_picture_are_refused_by_name(tmp_path, monkeypatch):
     store(tmp_path, "packed")
-    file = card(tmp_path / "card.obj", "{}.<UDIM>.png", (COLUMNS, ROWS))
+    file = packed_card(tmp_path / "card.obj", "{}.<UDIM>.png", (COLUMNS, ROWS))
     with pytest.raises(SceneError, match=r"'color\.<UDIM>\.png', of which no tile is there"):
         read_model(file, unit_m=1.0, up="z")
     store(tmp_path, "color")
