@@ -288,16 +288,17 @@ class MeshTable:
 
         coordinates = MeshCorners(mesh, corners, faces, authored, read, surface, time)
         same = len(read.counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
+        point = slice(None) if split is None else split.point
         whole = Mesh(
             path=str(prim.GetPath()),
-            points=drawn.points,
+            points=drawn.points[point],
             faces=faces if split is None else split.indices[corners],
             authored_face=None if same else authored,
             normals=None,
             labels={level: ids[authored] for level, ids in labels.items()},
             layers=indices_of_layers,
-            weights=weights if split is None else weights[:, split.point],
-            variation=variation if split is None or variation is None else variation[split.point],
+            weights=weights[:, point],
+            variation=None if variation is None else variation[point],
             height_blends=read_height_blends(prim, len(weights)) if layers is not None else (),
             color=coordinates.color(names.PRIMVAR_COLOR),
         )

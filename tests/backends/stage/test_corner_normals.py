@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdSkel, Vt
+from pxr import Gf, Sdf, UsdGeom, UsdLux, UsdShade, UsdSkel, Vt
 
 from scenec.backends.registry import open_backend
 from scenec.backends.run.session import Session
@@ -15,7 +15,7 @@ from scenec.backends.stage import normals as stage_normals
 from scenec.backends.stage.scene import RenderScene
 from scenec.testing import skinned_stages as arm
 from scenec.testing.extras import needs
-from scenec.testing.foreign_stages import label, opened, polygons, square
+from scenec.testing.foreign_stages import bind, label, opened, polygons, square
 
 SIDES, ALBEDO, SUN = 12, 0.5, 3.0
 #: To the sun: from the camera's side, above.
@@ -163,6 +163,26 @@ def test_a_point_becomes_as_many_vertices_as_it_has_normals(tmp_path):
     np.testing.assert_allclose(
         np.abs(of_face[~on_side]), np.broadcast_to((0, 0, 1), of_face[~on_side].shape)
     )
+
+
+def test_parts_by_material_have_the_vertices_of_their_own_faces(tmp_path):
+    def build(stage):
+        found = prism(stage)
+        shader = bind(stage, found.GetPrim())
+        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set((1, 0, 0))
+        material = UsdShade.Material.Define(stage, "/Root/Looks/plain")
+        caps = UsdGeom.Subset.Define(stage, "/Root/prism/caps")
+        caps.CreateIndicesAttr([SIDES, SIDES + 1])
+        caps.CreateElementTypeAttr("face")
+        caps.CreateFamilyNameAttr("materialBind")
+        UsdShade.MaterialBindingAPI.Apply(caps.GetPrim()).Bind(material)
+
+    parts = opened(tmp_path, build).meshes
+    assert [len(part.points) for part in parts] == [2 * SIDES] * 2
+    for part, faces in zip(parts, (range(SIDES), (SIDES, SIDES + 1)), strict=True):
+        assert set(part.authored_face.tolist()) == set(faces)
+        flat = np.abs(part.normals[part.faces][..., 2]) > 0.5
+        assert (flat == (part.authored_face >= SIDES)[:, None]).all()
 
 
 #: Of two squares that share an edge: interpolation, normals, and what triangles' corners get.
