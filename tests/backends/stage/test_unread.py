@@ -346,6 +346,7 @@ HARMLESS_OPINIONS = {
     "one color": mesh(lambda m: m.CreateDisplayColorPrimvar("vertex").Set([(0.5, 0, 0)] * 4)),
     "normals": mesh(lambda m: m.CreateNormalsAttr([(0, 0, 1)] * 4)),
     "lat-long": light("DomeLight", "inputs:texture:format", "latlong"),
+    "no cone": light("DistantLight", "inputs:shaping:cone:angle", 180.0),
     "shadow": light("SphereLight", "inputs:shadow:enable", True),
     "stops": camera("exposure", 2.0),
     "clipping": camera("clippingRange", Gf.Vec2f(0.1, 10.0)),
