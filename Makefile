@@ -85,7 +85,7 @@ bench: setup  ## Run every benchmark; each prints a table.
 docs: setup  ## Generate the cfg's schema and docs/cfg.md from its declarations.
 	@.venv/bin/python -m tools.declarations
 
-measured: setup  ## Measure all pages and pictures anew (XX on two cores), or MEASURED="pages/errors …" PICTURES=.
+measured: setup  ## Measure all pages and pictures anew (an hour and a half of CPU time), or MEASURED="pages/errors …" PICTURES=.
 	@set -e; for name in $(MEASURED) $(PICTURES); do \
 	  echo "== Measuring: $$name"; .venv/bin/python lab/$$name.py; \
 	done

@@ -476,7 +476,7 @@ def _tried(work: Callable[[Path], Found], folder: Path) -> Found:
 
 
 def merged(table: list[list[Any]]) -> Iterator[list[Cell]]:
-    """Makes one row of the cases of a group that promise the same: the worst of each number."""
+    """Makes one row, of the worst error, of the cases of a group that promise the same."""
     groups: dict[tuple[str, ...], list[list[Any]]] = {}
     for row in table:
         refused = row[1] if row[1].startswith("refused") else ""
@@ -485,8 +485,8 @@ def merged(table: list[list[Any]]) -> Iterator[list[Cell]]:
         cases = "; ".join(row[0].partition(": ")[2] for row in of)
         worst = max(reversed(of), key=lambda row: row[2] or 0.0)
         error = None if worst[2] is None else f"{worst[2]:.1e}"
-        cost = (max(row[i] for row in of) for i in (3, 4))
-        yield [f"{group}: {cases}", worst[1], error, *cost, promise]
+        seconds = max(row[3] for row in of)
+        yield [f"{group}: {cases}", worst[1], error, seconds, promise]
 
 
 def main(page: Page) -> None:
@@ -505,7 +505,7 @@ def main(page: Page) -> None:
         print(table[-1], flush=True)
     if page.whole:
         page.value("tried", str(len(table)))
-        header = ["case", "outcome", "error", "CPU s", "MiB", "promised"]
+        header = ["case", "outcome", "error", "CPU s", "promised"]
         page.block("extremes", header, merged(table))
         page.refresh(("numpy", "mitsuba"), ())
 

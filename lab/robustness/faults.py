@@ -319,11 +319,15 @@ def obstacle(fault: str, folder: Path) -> str | None:
 def pairs(
     rng: random.Random, faults: Sequence[str], commands: Sequence[str], runs: int = 0
 ) -> list[tuple[str, str]]:
-    """So many pairs of a fault and a command, none twice before all were; 0 runs are all once."""
+    """So many pairs of a fault and a command, each fault in turn, no pair twice before all were.
+
+    0 runs are all once.
+    """
     found: list[tuple[str, str]] = []
     while len(found) < (runs or 1):
-        every = [(fault, name) for name in commands for fault in faults]
-        found += rng.sample(every, len(every))
+        turns = [rng.sample(commands, len(commands)) for _ in faults]
+        for turn in zip(*turns, strict=True):
+            found += rng.sample(list(zip(faults, turn, strict=True)), len(faults))
     return found[: runs or len(found)]
 
 
