@@ -77,7 +77,9 @@ def write_sheet(out: Path, output: Path, *, backend: str | None = None, count: i
         heading += f", {first.spp} samples per pixel"
     if left_out:
         heading += f"; not shown: {len(left_out)} frames of another stage"
-    picture = contact_sheet([_sheet_frame(frame) for frame in frames], source.labels(), heading)
+    several = len({frame.ref.batch for frame in frames}) > 1
+    rows = [_sheet_frame(frame, several) for frame in frames]
+    picture = contact_sheet(rows, source.labels(), heading)
     with atomic(output) as temporary:
         picture.save(temporary, format="PNG")
     shown = tuple(frame.ref.name for frame in frames)
@@ -95,17 +97,18 @@ def _across_points(frames: Sequence[FrameRef]) -> list[FrameRef]:
     return [ref for _, ref in sorted(rounds, key=lambda one: one[0])]
 
 
-def _title(frame: LoadedFrame) -> list[str]:
-    """Lines beside a row; in a sweep, the name of the point's folder, which says what differs."""
+def _title(frame: LoadedFrame, several: bool) -> list[str]:
+    """Lines beside a row; the batch where there are several; in a sweep its point's folder."""
     folder = textwrap.wrap(str(frame.ref.settings.get("folder", "")), _TITLE_LETTERS)
-    return [*folder, f"{frame.sidecar.camera}, sample {frame.sidecar.sample}"]
+    batch = f"batch {frame.ref.batch}, " if several else ""
+    return [*folder, f"{batch}{frame.sidecar.camera}, sample {frame.sidecar.sample}"]
 
 
-def _sheet_frame(frame: LoadedFrame) -> SheetFrame:
+def _sheet_frame(frame: LoadedFrame, several: bool) -> SheetFrame:
     passes = frame.passes
     clean = "clean" in pictures.kinds(frame.sidecar)
     return SheetFrame(
-        title="\n".join(_title(frame)),
+        title="\n".join(_title(frame, several)),
         picture=pictures.picture(frame) if pictures.has_picture(frame) else None,
         labels={
             name.removeprefix("label."): array
