@@ -162,6 +162,8 @@ def main(page: Page) -> None:
     spp = 2 if page.fast else page.options.spp
     if not only or _slug(YARD_TITLE) in only:
         yard(page, assets, spp)
+    # That of textures is written by hand.
+    page.rows(None)
     for title, of in GROUPS.items():
         chosen = [a for label in of for a in assets.values() if a.label == label]
         page.rows([
