@@ -12,8 +12,8 @@ the range is told modulo c / (2 f) (Lange and Seitz, IEEE J. Quantum Electronics
 sunlight the noise of the phase goes inversely with the amplitude that comes back, and that with
 cos(angle of incidence) / r^2, so a range has the deviation s (r / r0)^2 / cos. A pixel gathers from
 a Gaussian spot: the phasors of its neighborhood are added by amplitude and share, which at outlines
-gives ranges between the two ("flying pixels"). Albedo is taken as even, and light that comes back by
-way of other surfaces is left out.
+gives ranges between the two ("flying pixels"). Albedo is taken as even, and light that comes by way
+of other surfaces is left out.
 """
 
 from __future__ import annotations
