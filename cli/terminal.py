@@ -93,6 +93,9 @@ class Terminal(Listener):
                 f"{name}: {sum(seconds.values()):.1f} s ({steps}); positions in float32: "
                 f"{precision_text(precision)}"
             )
+        for left in batch.left_out:
+            if left.what.startswith("light/"):
+                say(f"{name}: warning: {left.what} is left out: {left.why}")
         off = precision.float32_error_max_px
         if off is not None and off > WARN_PX:
             say(
