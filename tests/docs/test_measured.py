@@ -15,12 +15,7 @@ RECENT = list(
     dict.fromkeys(re.findall(r"^## \[(\d+\.\d+)\.", (ROOT / "CHANGELOG.md").read_text(), re.M))
 )[:3]
 #: What is older, and says so, until somebody has some quiet minutes for it.
-WAITING = {
-    "pages/converge",
-    "pages/leaving_out",
-    "experiments/head_to_head",
-    "experiments/ego_motion",
-}
+WAITING = {"pages/leaving_out", "experiments/head_to_head", "experiments/ego_motion"}
 
 
 def scripts() -> list[str]:
