@@ -16,6 +16,21 @@ from scenec.schemas.georeference import Georeference
 
 
 @dataclass(frozen=True, eq=False)
+class Mask:
+    """Says where a look has holes: where opacity, bilinear, is below a threshold nothing is there.
+
+    Attributes:
+        opacity: Of texels, 255 for 1, uint8 [h, w], row 0 at the top.
+        threshold: In (0, 1].
+        wrap: How texels go on beyond the picture's sides, along u and v (``stage.WRAPS``).
+    """
+
+    opacity: NDArray[np.uint8]
+    threshold: float
+    wrap: tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False)
 class Look:
     """A material without merges and variation.
 
@@ -28,6 +43,7 @@ class Look:
         diffuse_transmission: Share of the dull part's light that leaves on the far side.
         picture: Of colors, in sRGB: a file, or pixels uint8 [h, w, 3] with row 0 at the top; None
             where ``base_color`` is all.
+        mask: By the same texture coordinates, or None where all of it is there.
     """
 
     name: str
@@ -37,6 +53,7 @@ class Look:
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     picture: Path | NDArray[np.uint8] | None = None
     diffuse_transmission: float = 0.0
+    mask: Mask | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +65,8 @@ class Part:
         points: Float32 [n, 3].
         faces: Vertex indices, int32 [m, 3].
         normals: Shading normals at the vertices, float32 [n, 3], or None (flat).
-        colors: Linear Rec.709 at the vertices, float32 [n, 3], in place of the look's; or None.
+        colors: Linear Rec.709 at the vertices, float32 [n, 3], or None: in a coarse model in place
+            of the look's, in a whole one a factor of it.
         uv: Texture coordinates at the corners, v up, float32 [m, 3, 2], or None.
         labels: Per level, the label id of each triangle, uint32 [m].
         look: Index into ``Model.looks``.

@@ -34,7 +34,7 @@ SOURCES: Final = {
     "kinect": "Tölgyessy and others, Sensors 21 (2021) 413: the stated deviation of 17 mm "
     "and distance error of 11 mm hold up to 3.5 m",
     "kinect_sheet": "Microsoft, Azure Kinect DK hardware specifications: 640 x 576 (NFOV "
-    f"unbinned), 75°, 0.5 to 3.86 m; {MEMORY}",
+    "unbinned), 75°, 0.5 to 3.86 m",
     "mastcam_z": "Mars 2020 Mastcam-Z characteristics, Table 5 of PMC7883548 (left camera)",
     "malin": "MSL Mastcam and MARDI characteristics, Table 1 of PMC5652233",
     "maki2020": "Maki and others, Space Science Reviews 216 (2020) 137, abstract: 96° at 0.33 and "

@@ -16,6 +16,8 @@ from scenec.schemas.maps import LARGEST
 
 #: What stands for the number of a tile in a path.
 UDIM = "<UDIM>"
+#: What a picture holds where there is no tile: black, dull, even, solid.
+NO_TILE = {"normal": (0.5, 0.5, 1.0), "roughness": (1.0, 1.0, 1.0), "opacity": (1.0, 1.0, 1.0)}
 _COLUMNS = 10
 #: Where a tile lies: column and row, (0, 0) at the lower left.
 type Place = tuple[int, int]
@@ -58,7 +60,7 @@ def joined(tiles: Mapping[Place, NDArray], grid: Place, fill: tuple[float, ...])
     Args:
         tiles: Of one type and as many channels.
         grid: Columns and rows.
-        fill: What stands where there is no tile, for each channel.
+        fill: What stands where there is no tile, for each channel, in the tiles' own numbers.
 
     Raises:
         ValueError: The picture would be too large.

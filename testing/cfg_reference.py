@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import functools
 import json
-import re
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from scenec.compiler.kinds.schema import NUMBER, ROOT, load_schemas
 from scenec.schemas.passes import BUILT_IN
+from scenec.schemas.presets import PRESETS
 
 #: An example that is longer gets several lines.
 _LINE = 90
@@ -25,22 +26,31 @@ HEAD = """\
 
 # The cfg
 
-Every key of a cfg, with its type, unit, bounds and default, and an example of every object. To
-start from a cfg that runs, see the [tutorial](tutorial.md) and the [recipes](recipes.md); how a
-cfg is written, extended and varied: [writing cfgs](writing.md).
+Every key of a cfg, with its type, unit, bounds and default, and an example of every object. Begin
+with a cfg that runs: [tutorial](tutorial.md), [recipes](recipes.md). How a cfg is written, extended
+and varied: [writing cfgs](writing.md). A key that scenec does not know, a name that nothing uses
+and a number out of bounds are errors, told all at once with line and column.
 
-A key that scenec does not know, a name that nothing uses and a number out of bounds are errors.
-scenec reports all of them at once, with line and column. Packages may add kinds of relief,
-densities, rocks, surfaces, poses and more: see [plug-ins](plugins.md).
-
-In the tables, *default* is the value of a key that you leave out: "required" means that you must
-give it, "none" that it has no value then. [0, 1) is an interval with 0 and without 1. In place of a
-[number](#number) a distribution may stand. It is drawn once a batch; "per sample" or "per instance"
-says where that is otherwise, and "or" what else its own `per` may be.
+- *Default* is the value of a key that you leave out; where it is empty, the key has none.
+- In place of a [number](#number) a distribution may stand. It is drawn once a batch, or where that
+  is said once a sample or an instance (which `per` can change to a batch).
+- [0, 1) is an interval with 0 and without 1. Bounds of 100,000 or more are not shown: they only
+  catch slips.
+- Packages may add [kinds of their own](plugins.md).
 """
 _COLUMNS = ("| key | type | default | description |", "|---|---|---|---|")
 #: Keys that are the same in as many kinds are told once, where the kinds are listed.
 _SHARED = 3
+#: Descriptions of at least so many words stand once on the page.
+_LONG = 10
+#: Bounds from here on only catch slips.
+_NO_BOUND = 1e5
+#: Values that a table of their own lists.
+_LISTED = {tuple(BUILT_IN): "[output](#outputs)", tuple(PRESETS): "[preset](presets.md)"}
+#: A space at which no line breaks.
+_KEPT = "\u00a0"
+#: So many keys at most are a list and no table.
+_FEW = 3
 
 
 def make() -> str:
@@ -88,33 +98,63 @@ def _references(schema: Any) -> Iterator[str]:
 def _section(name: str) -> str:
     schema = load_schemas()[name]
     lines = [f"## {schema['title']}", "", schema["description"], "", *_example(schema)]
-    home, shared = _shared().get(name, ("", {}))
+    elsewhere = _elsewhere()[name]
     if name == NUMBER:
-        for kind, definition in schema["$defs"].items():
-            lines += [f"### {kind}", "", definition["description"], ""]
-            lines += [*_example(definition), *_table(definition)]
+        laws = schema["$defs"].values()
+        lines += ["Key of all distributions:", ""]
+        lines += _table({"properties": {"per": next(iter(laws))["properties"]["per"]}})
+        for kind, law in schema["$defs"].items():
+            own = {key: of for key, of in law["properties"].items() if key != "per"}
+            lines += [f"### {kind}", "", law["description"], ""]
+            lines += [*_example(law), *_table({**law, "properties": own})]
     elif "allOf" in schema:
-        lines += [f"{schema['properties']['type']['description'].rstrip('.')}, by `type`:", ""]
-        for kind, target in _kinds(schema).items():
-            brief = re.split(r"(?<=[.]) (?=[A-Z])", target["description"])[0]
-            lines.append(f"- [`{kind}`](#{_anchor(target['title'])}): {brief}")
-        lines.append("")
-        if shared and home == name:
+        kinds = _kinds(schema).items()
+        links = ", ".join(f"[`{kind}`](#{_anchor(to['title'])})" for kind, to in kinds)
+        lines += [f"{schema['properties']['type']['description'].rstrip('.')}: {links}.", ""]
+        if shared := elsewhere.get(name):
             lines += ["Keys that several have:", "", *_table({"properties": shared})]
     elif "properties" in schema:
-        own = {key: of for key, of in schema["properties"].items() if key not in shared}
+        told = {key for keys in elsewhere.values() for key in keys}
+        own = {key: of for key, of in schema["properties"].items() if key not in told}
         lines += _table({**schema, "properties": own})
-        if shared:
-            title = load_schemas()[home]["title"]
-            keys = ", ".join(f"`{key}`" for key in shared)
-            lines += [f"And {keys}, as said of [{title}](#{_anchor(title)}).", ""]
-        if "$ref" in schema:
-            title = load_schemas()[schema["$ref"]]["title"]
-            lines += [f"And all keys of [{title}](#{_anchor(title)}).", ""]
+        parts = [f"{_link(home)}: {_names(keys)}" for home, keys in elsewhere.items()]
+        parts += [f"{_link(schema['$ref'])}: all keys"] if "$ref" in schema else []
+        lines += [f"As in {'; '.join(parts)}.", ""] if parts else []
     else:
         entry = schema["additionalProperties"]
         lines += _table({"properties": {f"<{schema['x-name']}>": entry}})
     return "\n".join(lines)
+
+
+def _link(name: str) -> str:
+    title = load_schemas()[name]["title"]
+    return f"[{title}](#{_anchor(title)})"
+
+
+def _names(keys: Iterable[str]) -> str:
+    return ", ".join(f"`{key}`" for key in keys)
+
+
+@functools.cache
+def _elsewhere() -> dict[str, dict[str, dict[str, Any]]]:
+    """For each definition: the keys that another section tells, by that section's name.
+
+    Of a list of kinds: under its own name the keys that it tells of them.
+    """
+    homes: dict[str, str] = {}
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for name in _order(ROOT):
+        of_kinds, shared = _shared().get(name, ("", {}))
+        found[name] = {of_kinds: shared} if shared else {}
+        before: dict[str, dict[str, Any]] = {}
+        for row, (key, entry) in _row_of_each(load_schemas()[name]).items():
+            if key not in shared and homes.setdefault(row, name) != name:
+                before.setdefault(homes[row], {})[key] = entry
+        for home, keys in before.items():
+            words = sum(len(entry["description"].split()) for entry in keys.values())
+            if words >= _LONG:
+                found[name][home] = found[name].get(home, {}) | keys
+    return found
 
 
 def _kinds(schema: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -151,8 +191,8 @@ def _row_of_each(schema: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
     """The keys of a schema and what they are, by their row in its table."""
     required = schema.get("required", [])
     keys = {key: of for key, of in schema.get("properties", {}).items() if "properties" not in of}
-    rows = {key: "".join(_rows("", {key: of}, required)) for key, of in keys.items()}
-    return {row: (key, keys[key]) for key, row in rows.items() if row}
+    rows = {key: str([*_rows("", {key: of}, required)]) for key, of in keys.items()}
+    return {row: (key, keys[key]) for key, row in rows.items() if row != "[]"}
 
 
 def _example(schema: Mapping[str, Any]) -> list[str]:
@@ -169,20 +209,27 @@ def _example(schema: Mapping[str, Any]) -> list[str]:
 
 def _table(schema: Mapping[str, Any]) -> list[str]:
     rows = [*_rows("", schema["properties"], schema.get("required", []))]
-    return [*_COLUMNS, *rows, ""] if rows else []
+    if len(rows) > _FEW:
+        return [*_COLUMNS, *(f"| {' | '.join(row)} |" for row in rows), ""]
+    lines = []
+    for key, kind, default, said in rows:
+        usual = f"default {default}" if default.startswith("`") else default
+        lines.append(f"- {key} ({'; '.join(filter(None, (kind, usual)))}): {said}")
+    return [*lines, ""] if rows else []
 
 
-def _rows(prefix: str, properties: Mapping[str, Any], required: list[str]) -> Iterator[str]:
+def _rows(
+    prefix: str, properties: Mapping[str, Any], required: list[str]
+) -> Iterator[tuple[str, str, str, str]]:
+    """Key, type, default and description of each key."""
     for key, entry in properties.items():
         # A kind's own name stands in the list of kinds and in its example.
         if entry.get("x-ignored") or (key == "type" and "const" in entry):
             continue
-        named = key.startswith("<")
-        default = "required" if key in required else "" if named else "none"
+        default = "required" if key in required else ""
         if "default" in entry:
             default = f"`{json.dumps(entry['default'], ensure_ascii=False)}`"
-        cells = [f"`{prefix}{key}`", _type(entry), default, _escape(entry["description"])]
-        yield "| " + " | ".join(cells) + " |"
+        yield f"`{prefix}{key}`", _type(entry), default, _escape(entry["description"])
         if "properties" in entry:
             yield from _rows(f"{prefix}{key}.", entry["properties"], entry.get("required", []))
         below = entry.get("additionalProperties")
@@ -191,11 +238,8 @@ def _rows(prefix: str, properties: Mapping[str, Any], required: list[str]) -> It
 
 
 def _drawn(number: Mapping[str, Any]) -> str:
-    """What a number is drawn per, where that is not a batch or where it can be otherwise."""
-    others = [per for per in number["x-per-allowed"] if per != number["x-per"]]
-    if number["x-per"] == "batch" and not others:
-        return ""
-    return f" per {' or '.join([number['x-per'], *others])}"
+    """What a number is drawn per, where that is not a batch."""
+    return "" if number["x-per"] == "batch" else f" per {number['x-per']}"
 
 
 def _number_of(entry: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -221,6 +265,8 @@ def _type(entry: Mapping[str, Any]) -> str:
         return f"[{title}](#{_anchor(title)})" + (" or null" if "null" in (null or "") else "")
     if "const" in entry:
         return f"`{json.dumps(entry['const'])}`"
+    if tuple(entry.get("enum", ())) in _LISTED:
+        return _LISTED[tuple(entry["enum"])]
     if "enum" in entry:
         return ", ".join(f"`{json.dumps(value)}`" for value in entry["enum"])
     if "prefixItems" in entry:
@@ -241,29 +287,30 @@ def _type(entry: Mapping[str, Any]) -> str:
         return _type(number) + "".join(others.get(name, "") for name in kind)
     if kind == "array":
         least, most = entry.get("minItems"), entry.get("maxItems")
-        count = f" of {least}" if least == most else f", {least} or more"
+        count = f", {least} or more" if least else ""
+        count = f" of {least}" if least and least == most else count
         return f"list{count}: {_type(entry['items'])}"
-    words = {"integer": "whole number, constant", "number": "number, constant"}
+    words = {"integer": "whole number", "number": "constant"}
     return words.get(str(kind), str(kind)) + unit + _bounds(entry)
 
 
 def _bounds(entry: Mapping[str, Any]) -> str:
     """The interval that a number lies in, its brackets as they are written in mathematics."""
     ends = {
-        key: f"{entry[key]:.12g}".replace("1000000000000", "1e12").replace("1000000000", "1e9")
+        key: f"{entry[key]:.12g}"
         for key in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum")
-        if key in entry
+        if abs(entry.get(key, math.inf)) < _NO_BOUND
     }
     if not ends:
         return ""
     low = ends.get("exclusiveMinimum", ends.get("minimum"))
     high = ends.get("exclusiveMaximum", ends.get("maximum"))
     if high is None:
-        return f", {'>' if 'exclusiveMinimum' in ends else '≥'} {low}"
+        return f", {'>' if 'exclusiveMinimum' in ends else '≥'}{_KEPT}{low}"
     if low is None:
-        return f", {'<' if 'exclusiveMaximum' in ends else '≤'} {high}"
+        return f", {'<' if 'exclusiveMaximum' in ends else '≤'}{_KEPT}{high}"
     left, right = ("[" if "minimum" in ends else "("), ("]" if "maximum" in ends else ")")
-    return f", {left}{low}, {high}{right}"
+    return f", {left}{low},{_KEPT}{high}{right}"
 
 
 def _anchor(title: str) -> str:

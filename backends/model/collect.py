@@ -21,7 +21,7 @@ from scenec.backends.surface.gobo import mean_passed
 from scenec.backends.surface.maps import map_values
 from scenec.backends.surface.pictures import has_maps
 from scenec.schemas import stage as names
-from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.schemas.model import Look, Mask, Model, Part, Placement, View
 from scenec.schemas.picture import srgb_bytes
 
 #: Triangles that a prototype keeps however little room there is.
@@ -116,23 +116,26 @@ def full_model(scene: RenderScene, name: str, *, texels: int) -> Model:
             "ground: merges of layers are baked into pictures, as seen from above; their normal "
             "and roughness maps are not",
         ]
-    place = {}
+    place, default = {}, len(looks)
+    looks.append(Look("default", (0.18, 0.18, 0.18), 0.5))
     for placement, meshes in _groups(scene, origin):
         for index in meshes:
             if index not in place:
                 place[index] = len(parts)
                 mesh = scene.meshes[index]
-                colors = None
-                if len(mesh.layers) > 1:
-                    colors = vertex_colors(scene, mesh).astype(np.float32)
-                elif mesh.color is not None:
-                    colors = vertex_color(mesh)
                 surface = surfaces_of(scene, mesh)[0]
+                look = mesh.layers[0] if mesh.layers else default
+                colors = None if mesh.color is None else vertex_color(mesh)
+                if len(mesh.layers) > 1 and looks[look].picture is not None:
+                    losses.append(f"{mesh.path}: what coats its picture is left out")
+                elif len(mesh.layers) > 1:
+                    # Whole colors, which a look's own would multiply.
+                    colors = vertex_colors(scene, mesh).astype(np.float32)
+                    look = len(looks)
+                    looks.append(Look(f"coated_{look:03d}", (1.0, 1.0, 1.0), surface.roughness))
                 parts.append(Part(mesh.path, mesh.points, mesh.faces, mesh.normals, colors,
-                                  _object_uv(mesh, surface), mesh.labels,
-                                  mesh.layers[0] if mesh.layers else len(looks)))  # fmt: skip
+                                  _object_uv(mesh, surface), mesh.labels, look))  # fmt: skip
         placements.append(replace(placement, parts=tuple(place[m] for m in meshes)))
-    looks.append(Look("default", (0.18, 0.18, 0.18), 0.5))
     losses += _looks_lost(scene)
     if any(sun.gobo for lighting in scene.lighting for sun in lighting.suns):
         losses.append("light: shadows of clouds are left out, suns have their mean")
@@ -198,12 +201,14 @@ def _ground(scene: RenderScene) -> NDArray[np.bool_]:
     """Marks rows of ground: no instances, nor of classes without ids, nor placed often.
 
     A horizon counts as an object: what is finest where cameras are, and pictures from above, would
-    be lost on its kilometers.
+    be lost on its kilometers. So does what a mask cuts, which pictures from above would fill.
     """
     classes = (*(f"{path}/" for path in scene.instance_paths), f"{names.HORIZON}/")
     objects = [f"{mesh.path}/".startswith(classes) for mesh in scene.meshes]
     often = np.bincount(scene.rows.mesh, minlength=len(scene.meshes)) > 1
-    return (scene.rows.instance_id == 0) & ~(np.array(objects, bool) | often)[scene.rows.mesh]
+    cut = [scene.cutout_of(mesh) is not None for mesh in scene.meshes]
+    apart = np.array(objects, bool) | np.array(cut, bool) | often
+    return (scene.rows.instance_id == 0) & ~apart[scene.rows.mesh]
 
 
 def _joined_ground(
@@ -358,12 +363,23 @@ def _look(surface: Surface, name: str) -> Look:
         surface.emission,
         picture,
         surface.diffuse_transmission,
+        _mask(surface),
     )
+
+
+def _mask(surface: Surface) -> Mask | None:
+    """The mask of a surface, in 8 bits: contours move by 1/510 of opacity's range at most."""
+    maps = surface.cutout
+    if maps is None:
+        return None
+    opacity = np.rint(255.0 * map_values(maps, "opacity")[..., 0]).astype(np.uint8)
+    # The decimal that was meant: texels that are at it as float32 are not below it as float64.
+    return Mask(opacity, float(str(np.float32(maps.opacity_threshold))), maps.opacity_wrap)
 
 
 def _object_uv(mesh: Mesh, surface: Surface) -> NDArray[np.float32] | None:
     """Texture coordinates of an object: its own, or those of the side that a face looks to."""
-    if surface.maps is None or not has_maps(surface.maps, "base_color"):
+    if surface.maps is None or not (surface.cutout or has_maps(surface.maps, "base_color")):
         return None
     if surface.maps.projection == "uv":
         return mesh.uv
@@ -373,8 +389,6 @@ def _object_uv(mesh: Mesh, surface: Surface) -> NDArray[np.float32] | None:
 def _losses(scene: RenderScene) -> list[str]:
     """Lists what a model cannot hold."""
     found = list(scene.losses)
-    if scene.has_cutouts:
-        found.append("opacity: what pictures cut out is solid")
     if any(mesh.color is not None for mesh in scene.meshes):
         found.append("colors of corners: a vertex has that of one of its faces")
     if scene.rows.motion is not None:
@@ -403,7 +417,8 @@ def _losses(scene: RenderScene) -> list[str]:
 
 def _pictures_lost(scene: RenderScene) -> list[str]:
     names = [s.path.rpartition("/")[2] for s in scene.surfaces if s.maps is not None]
-    return [f"looks: pictures count by their mean color ({', '.join(names)})"] if names else []
+    found = [f"looks: pictures count by their mean color ({', '.join(names)})"] if names else []
+    return [*found, "opacity: what pictures cut out is solid"] if scene.has_cutouts else found
 
 
 def _looks_lost(scene: RenderScene) -> list[str]:

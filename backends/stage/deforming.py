@@ -8,8 +8,9 @@ brought from the skeleton's frame to the mesh's.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,9 @@ TOPOLOGY = "a shape that gains or loses points or faces stays as it is at the fi
 #: What is said of one whose poses would take too much.
 TOO_MANY = "a shape of too many poses, or triangles in them, stands still, as at the first sample"
 
+#: Normals at the first sample's time, or another's; None where there are none.
+type _NormalsAt = Callable[[Usd.TimeCode], NDArray[np.float32] | None]
+
 #: Points of all poses of one shape: what is held until it is known how many there are.
 _MOST_POINTS = 1 << 24
 
@@ -37,13 +41,15 @@ class ShapePose:
 
     Attributes:
         points: In the shape's frame, float32 [n, 3].
-        normals: At the points, float32 [n, 3]; None where none are authored there.
+        normals: Unit vectors, float32 [k, 3]; None: faces are shaded flat.
         shown: At which samples, bool [samples]; None: at all.
+        at: The point of each normal, int32 [k]; None: one a point.
     """
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32] | None = None
     shown: NDArray[np.bool_] | None = None
+    at: NDArray[np.int32] | None = None
 
     @property
     def key(self) -> tuple[bytes, ...]:
@@ -63,12 +69,13 @@ class _Skin:
         place: Usd.Prim,
     ) -> None:
         self._prim, self._query, self._skeleton, self._place = prim, query, skeleton, place
-        self._shapes = None
+        self._shapes: Any = None
         if query.HasBlendShapes():
             shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
             self._shapes = shapes
             self._offsets = shapes.ComputeSubShapePointOffsets()
             self._indices = shapes.ComputeBlendShapePointIndices()
+            self._leans = [_normal_offsets(shapes, i) for i in range(shapes.GetNumSubShapes())]
 
     def apply(self, rest: ShapePose, time: Usd.TimeCode) -> ShapePose:
         """Moves points and normals from the rest pose to that of a time.
@@ -77,27 +84,49 @@ class _Skin:
             Tf.ErrorException: USD finds the binding at fault.
             ValueError: It does, and does not say why.
         """
-        points, normals = Vt.Vec3fArray.FromNumpy(rest.points), None
+        points = Vt.Vec3fArray.FromNumpy(rest.points)
         animation, query = self._skeleton.GetAnimQuery(), self._query
         if self._shapes is not None and animation and query.GetBlendShapeMapper():
             weights = animation.ComputeBlendShapeWeights(time)
             own = query.GetBlendShapeMapper().Remap(weights)
             sub = self._shapes.ComputeSubShapeWeights(own)
             _require(self._shapes.ComputeDeformedPoints(*sub, self._indices, self._offsets, points))
+            if rest.normals is not None and any(len(each) for each in self._leans):
+                rest = replace(rest, normals=self._leaned(rest, rest.normals, sub))
+        pose = replace(rest, points=np.array(points, np.float32))
         if not query.HasJointInfluences():
-            return ShapePose(np.array(points, np.float32), rest.normals)
+            return pose
         joints = self._skeleton.ComputeSkinningTransforms(time)
         _require(joints is not None)
         _require(query.ComputeSkinnedPoints(joints, points, time))
+        pose = replace(pose, points=np.array(points, np.float32))
         if rest.normals is not None:
-            normals = self._normals(rest, joints, time)
-        return self._in_mesh(np.array(points, np.float32), normals, time)
+            pose = replace(pose, normals=self._normals(rest, joints, time))
+        return self._in_mesh(pose, time)
+
+    def _leaned(
+        self, rest: ShapePose, normals: NDArray[np.float32], sub: tuple[Any, ...]
+    ) -> NDArray[np.float32]:
+        """Normals with the offsets of blend shapes, which are of points."""
+        moved = Vt.Vec3fArray.FromNumpy(np.zeros_like(rest.points))
+        _require(self._shapes.ComputeDeformedPoints(*sub, self._indices, self._leans, moved))
+        lean = np.array(moved, np.float64)
+        leaned = normals + (lean if rest.at is None else lean[rest.at])
+        length = np.sqrt((leaned * leaned).sum(axis=1))[:, None]
+        # Where they cancel there is no direction: the rest pose's stays.
+        unit = leaned / np.where(length > 0.0, length, 1.0)
+        return np.asarray(np.where(length > 0.0, unit, normals), np.float32)
 
     def _normals(
         self, rest: ShapePose, joints: Vt.Matrix4dArray, time: Usd.TimeCode
     ) -> NDArray[np.float32]:
         query, normals = self._query, Vt.Vec3fArray.FromNumpy(rest.normals)
-        indices, weights = query.ComputeVaryingJointInfluences(len(rest.points), time)
+        influences = query.ComputeVaryingJointInfluences(len(rest.points), time)
+        if rest.at is not None:
+            joint, weight = (
+                np.array(each).reshape(len(rest.points), -1)[rest.at].ravel() for each in influences
+            )
+            influences = Vt.IntArray.FromNumpy(joint), Vt.FloatArray.FromNumpy(weight)
         mapper = query.GetJointMapper()
         if mapper is not None and not mapper.IsNull():
             joints = mapper.RemapTransforms(joints, Vt.Matrix4dArray())
@@ -107,8 +136,7 @@ class _Skin:
                 query.GetSkinningMethod(),
                 _for_normals(query.GetGeomBindTransform(time)),
                 Vt.Matrix3dArray(turned),
-                indices,
-                weights,
+                *influences,
                 query.GetNumInfluencesPerComponent(),
                 normals,
                 True,
@@ -116,24 +144,20 @@ class _Skin:
         )
         return np.array(normals, np.float32)
 
-    def _in_mesh(
-        self,
-        points: NDArray[np.float32],
-        normals: NDArray[np.float32] | None,
-        time: Usd.TimeCode,
-    ) -> ShapePose:
+    def _in_mesh(self, pose: ShapePose, time: Usd.TimeCode) -> ShapePose:
         """From the skeleton's frame to the mesh's."""
         skeleton, mesh = (
             values.matrices(prim, [time], of_world=True) for prim in (self._place, self._prim)
         )
         if np.array_equal(skeleton, mesh):
-            return ShapePose(points, normals)
+            return pose
         to_mesh = composed(inverses_or_identity(mesh), skeleton)[0]
-        moved = _turned(points, to_mesh[:, :3]) + to_mesh[:, 3]
+        moved = _turned(pose.points, to_mesh[:, :3]) + to_mesh[:, 3]
+        normals = pose.normals
         if normals is not None:
             inverse = inverses_or_identity(to_mesh[None])[0, :, :3]
             normals = _turned(normals, inverse.T).astype(np.float32)
-        return ShapePose(moved.astype(np.float32), normals)
+        return replace(pose, points=moved.astype(np.float32), normals=normals)
 
 
 class Deformations:
@@ -149,12 +173,15 @@ class Deformations:
         #: By path of the SkelRoot, skeletons of the prims below it, by path.
         self._roots: dict[str, dict[str, UsdSkel.Skeleton]] = {}
 
-    def of(self, prim: Usd.Prim, rest: ShapePose) -> tuple[list[ShapePose], str]:
+    def of(
+        self, prim: Usd.Prim, rest: ShapePose, normals_at: _NormalsAt | None = None
+    ) -> tuple[list[ShapePose], str]:
         """Returns a shape's different poses, the first sample's first, and what is lost or "".
 
         Args:
             prim: A shape of points, an instance proxy perhaps.
             rest: As authored, at the first sample.
+            normals_at: Returns what its normals are at another time, if it has any.
 
         Raises:
             StageError: Points or a transform hold NaN, or are none.
@@ -167,10 +194,11 @@ class Deformations:
             return [rest], lost
         found: dict[tuple[bytes, ...], list[int]] = {}
         poses: list[ShapePose] = []
+        held = max(len(each) for each in (rest.points, rest.normals) if each is not None)
         for sample, time in enumerate(self._times):
             pose = rest
             if changes and sample:
-                pose = _authored(geometry, rest, time)
+                pose = _authored(geometry, rest, normals_at, time)
                 if pose.points.shape != rest.points.shape:
                     return poses[:1], TOPOLOGY
             if skin is not None:
@@ -182,7 +210,7 @@ class Deformations:
                     raise StageError(f"{prim.GetPath()}: its skeleton moves points to infinity")
             key = pose.key
             if key not in found:
-                if len(poses) * len(rest.points) > _MOST_POINTS:
+                if len(poses) * held > _MOST_POINTS:
                     return poses[:1], TOO_MANY
                 poses.append(pose)
             found.setdefault(key, []).append(sample)
@@ -191,9 +219,7 @@ class Deformations:
         shown = np.zeros((len(poses), len(self._times)), bool)
         for at, samples in zip(shown, found.values(), strict=True):
             at[samples] = True
-        return [
-            ShapePose(pose.points, pose.normals, at) for pose, at in zip(poses, shown, strict=True)
-        ], lost
+        return [replace(pose, shown=at) for pose, at in zip(poses, shown, strict=True)], lost
 
     def _skin(self, prim: Usd.Prim) -> tuple[_Skin | None, str]:
         if not is_skinned(prim):
@@ -237,15 +263,27 @@ def is_skinned(prim: Usd.Prim) -> bool:
     )
 
 
-def _authored(geometry: UsdGeom.PointBased, rest: ShapePose, time: Usd.TimeCode) -> ShapePose:
+def _authored(
+    geometry: UsdGeom.PointBased, rest: ShapePose, normals_at: _NormalsAt | None, time: Usd.TimeCode
+) -> ShapePose:
     points = values.array(geometry.GetPointsAttr(), np.float32, time, width=(3,))
     normals = rest.normals
-    attribute = geometry.GetNormalsAttr()
-    if normals is not None and attribute.ValueMightBeTimeVarying():
-        found = values.array(attribute, np.float32, time, width=(3,), finite=False)
-        if found.shape == points.shape and np.isfinite(found).all():
+    if normals is not None and normals_at and geometry.GetNormalsAttr().ValueMightBeTimeVarying():
+        found = normals_at(time)
+        if found is not None and found.shape == normals.shape:
             normals = found
-    return ShapePose(points, normals)
+    return replace(rest, points=points, normals=normals)
+
+
+def _normal_offsets(shapes: UsdSkel.BlendShapeQuery, number: int) -> Vt.Vec3fArray:
+    """Offsets of normals of a blend shape or an inbetween; empty where they are not one a point."""
+    found = shapes.GetInbetween(number)
+    if found:
+        points, normals = found.GetOffsets(), found.GetNormalOffsets()
+    else:
+        shape = shapes.GetBlendShape(shapes.GetBlendShapeIndex(number))
+        points, normals = shape.GetOffsetsAttr().Get(), shape.GetNormalOffsetsAttr().Get()
+    return normals if normals and points and len(normals) == len(points) else Vt.Vec3fArray()
 
 
 def _for_normals(matrix: Gf.Matrix4d) -> Gf.Matrix3d:

@@ -86,6 +86,8 @@ WITHOUT_EFFECT: dict[str, frozenset[str]] = {
 
 #: Values of the same effect as what holds without them.
 NEUTRAL = (
+    # A cone of so wide a half angle cuts nothing off.
+    ("inputs:shaping:cone:angle", 180.0),
     ("inputs:texture:format", "latlong"),
     ("renderingColorSpace", "lin_rec709"),
     ("renderingColorSpace", "lin_rec709_scene"),

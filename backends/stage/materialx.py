@@ -2,7 +2,8 @@
 
 A surface becomes a UsdPreviewSurface at the path that USD's own plug-in gives it,
 ``/MaterialX/Materials/NAME``: constants, and pictures through nodes that scale and shift them. What
-is more than that has its default, and a line that names material and node.
+is more than that has its default, and a line that names material and node. Looks become variants
+``LookVariant`` of ``/ModelRoot``, as that plug-in has them: geometry is named from there.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from scenec.schemas.packages import as_file
 from scenec.schemas.stage import LOSSES
 from scenec.schemas.udim import is_tiled, tiles_of
 
-_ROOT = "/MaterialX"
+_ROOT, _MODEL = "/MaterialX", "/ModelRoot"
 _TYPES = Sdf.ValueTypeNames
 #: By surface: its inputs whose product an input of UsdPreviewSurface is.
 MODELS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -141,11 +142,68 @@ def materialx_layer(file: str, named: str) -> Sdf.Layer | None:
                 write_surface(look, surface)
             if look.lines:
                 look.material.GetPrim().SetCustomDataByKey(LOSSES, "\n".join(look.lines))
+        for look in document.getLooks():
+            _write_variant(stage, look)
     except _faults(mx) as error:
         raise StageError(f"{named}: cannot be read: {' '.join(str(error).split())}") from error
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
     return layer
+
+
+def _write_variant(stage: Usd.Stage, look: Any) -> None:
+    """Writes a look as a variant of the model: the first of its assignments is strongest."""
+    root = stage.DefinePrim(_MODEL)
+    variants = root.GetVariantSets().AddVariantSet("LookVariant")
+    variants.AddVariant(look.getName())
+    variants.SetVariantSelection(look.getName())
+    assigned, heirs = [], [look]
+    while heirs[-1] is not None and heirs[-1].getName() not in {h.getName() for h in heirs[:-1]}:
+        assigned += heirs[-1].getMaterialAssigns()
+        heirs.append(heirs[-1].getInheritsFrom())
+    with variants.GetVariantEditContext():
+        binding = UsdShade.MaterialBindingAPI.Apply(root)
+        for number, assign in enumerate(assigned):
+            material = assign.getMaterial().replace(":", "__")
+            source = stage.GetPrimAtPath(f"{_ROOT}/Materials/{material}")
+            if not source:
+                continue
+            prim = stage.DefinePrim(f"{_MODEL}/Materials/assign_{number}")
+            prim.GetReferences().AddInternalReference(source.GetPath())
+            lines = (source.GetCustomDataByKey(LOSSES) or "").splitlines()
+            if assign.getChildren():
+                lines.append(f"variants of the look {look.getName()} are not followed")
+            if assign.getGeom() or assign.getCollectionString():
+                # Bindings are in the order of their names.
+                collection = Usd.CollectionAPI.Apply(root, f"assign_{number:06d}")
+                _gather(collection, assign, lines, set())
+                binding.Bind(collection, UsdShade.Material(prim), collection.GetName())
+            else:
+                binding.Bind(UsdShade.Material(prim))
+            if lines:
+                prim.SetCustomDataByKey(LOSSES, "\n".join(lines))
+    variants.ClearVariantSelection()
+
+
+def _gather(collection: Usd.CollectionAPI, element: Any, lines: list[str], seen: set[str]) -> None:
+    """Adds the geometry of an assignment, or of a collection that it names, to a collection."""
+    prefix, into = element.getActiveGeomPrefix(), collection.CreateIncludesRel()
+    for attribute in ("geom", "includegeom", "excludegeom"):
+        added = collection.CreateExcludesRel() if attribute == "excludegeom" else into
+        for path in _listed(element, attribute):
+            whole = f"{_MODEL}/{prefix}{path}".replace("//", "/").rstrip("/")
+            if Sdf.Path.IsValidPathString(whole):
+                added.AddTarget(whole)
+            else:
+                lines.append(f"the geometry {path} of a look is no path, and has not its material")
+    for name in _listed(element, "collection") + _listed(element, "includecollection"):
+        found = element.getDocument().getCollection(name)
+        if found is not None and name not in seen:
+            _gather(collection, found, lines, seen | {name})
+
+
+def _listed(element: Any, attribute: str) -> list[str]:
+    return [name.strip() for name in element.getAttribute(attribute).split(",") if name.strip()]
 
 
 def _faults(mx: Any) -> tuple[type[Exception], ...]:

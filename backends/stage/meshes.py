@@ -15,6 +15,7 @@ from scenec.backends.stage.curves import read_curves
 from scenec.backends.stage.deforming import TOO_MANY, Deformations, ShapePose, is_skinned
 from scenec.backends.stage.implicit import dimensions, tessellate
 from scenec.backends.stage.labels import LabelTable, face_labels, prim_labels
+from scenec.backends.stage.normals import read_normals, split_points
 from scenec.backends.stage.scene import Mesh, Surface
 from scenec.backends.stage.sources import Sources
 from scenec.backends.stage.subdivided import (
@@ -248,8 +249,11 @@ class MeshTable:
         prim = mesh.GetPrim()
         time = self._time
         read = read_polygons(mesh, time)
-        authored_normals = _normals(mesh, len(read.points), time)
-        poses, lost = self._deformations.of(prim, ShapePose(read.points, authored_normals))
+        normals = read_normals(mesh, read, time)
+        rest = ShapePose(read.points, normals.values, at=normals.at)
+        poses, lost = self._deformations.of(
+            prim, rest, lambda at: read_normals(mesh, read, at).values
+        )
         read = replace(read, points=poses[0].points)
         layers = read_layers(mesh, len(read.points), self._sources)
         variation = read_variation(prim, len(read.points))
@@ -269,6 +273,11 @@ class MeshTable:
             corners = np.ascontiguousarray(corners[:, [0, 2, 1]])
         faces = drawn.indices[corners]
         poses = self._with_room(prim, poses, lost, len(faces))
+        split = None
+        if surface is None:
+            split = split_points(read, poses)
+            if normals.lost:
+                self.unread.add(normals.lost, prim)
         labels = face_labels(mesh, self.labels, inherited, len(read.counts))
         surfaces, weights = layers or ([], np.zeros((0, len(drawn.points)), np.float32))
         if layers is not None:
@@ -279,16 +288,17 @@ class MeshTable:
 
         coordinates = MeshCorners(mesh, corners, faces, authored, read, surface, time)
         same = len(read.counts) == len(faces) and bool((authored == np.arange(len(faces))).all())
+        point = slice(None) if split is None else split.point
         whole = Mesh(
             path=str(prim.GetPath()),
-            points=drawn.points,
-            faces=faces,
+            points=drawn.points[point],
+            faces=faces if split is None else split.indices[corners],
             authored_face=None if same else authored,
             normals=None,
             labels={level: ids[authored] for level, ids in labels.items()},
             layers=indices_of_layers,
-            weights=weights,
-            variation=variation,
+            weights=weights[:, point],
+            variation=None if variation is None else variation[point],
             height_blends=read_height_blends(prim, len(weights)) if layers is not None else (),
             color=coordinates.color(names.PRIMVAR_COLOR),
         )
@@ -297,6 +307,8 @@ class MeshTable:
             parts = [(replace(whole, uv=coordinates.of(surfaces)), slice(None))]
         else:
             parts = self._by_material(mesh, whole, authored, coordinates)
+        if split is not None:
+            return self._added(parts, (split.pose(pose) for pose in poses))
         return self._added(parts, (_posed(mesh, read, surface, pose, time) for pose in poses))
 
     def _by_material(
@@ -422,21 +434,3 @@ def _posed(
     if normals is not None and left:
         normals = -normals
     return ShapePose(limit.points, normals, pose.shown)
-
-
-def _normals(
-    mesh: UsdGeom.Mesh, point_count: int, time: Usd.TimeCode
-) -> NDArray[np.float32] | None:
-    """Vertex normals; other interpolations are shaded flat."""
-    primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
-    if primvar and primvar.HasValue():
-        normals = values.flattened(primvar, np.float32, time, width=(3,))
-        interpolation = primvar.GetInterpolation()
-    else:
-        attribute = mesh.GetNormalsAttr()
-        normals = values.array(attribute, np.float32, time, width=(3,), finite=False)
-        interpolation = mesh.GetNormalsInterpolation()
-    smooth = interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying)
-    if not smooth or len(normals) != point_count or not np.isfinite(normals).all():
-        return None
-    return normals

@@ -180,7 +180,8 @@ def read_calibration(
         if found is None and fallback is None:
             raise StageError(f"{prim.GetPath()}: {said}: {name} is not authored, expected a number")
         numbers[key] = found[index] if found is not None else fallback or 0.0
-    for key in ("width", "height", "fx", "fy"):
+    # No document of NVIDIA's gives a largest field of view of 0 a meaning; a pinhole has none.
+    for key in ("width", "height", "fx", "fy", *(() if model == "opencvPinhole" else ("fov",))):
         if not numbers.get(key, 1.0) > 0.0:
             name = _TABLES[older, model][key][0]
             raise StageError(
@@ -250,7 +251,7 @@ def _fisheye(
 
 
 def _half(fov_deg: float) -> float:
-    return math.radians(0.5 * fov_deg) if 0.0 < fov_deg < 360.0 else math.pi
+    return math.radians(0.5 * fov_deg) if fov_deg < 360.0 else math.pi
 
 
 def _ftheta(

@@ -9,11 +9,14 @@ Only sums, products, quotients and square roots are taken: the same bits on any 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+from scenec.schemas.kernels import inlined, kernel
 
 #: Distance from the round tube as a share of a curve's longest side: half a pixel where that side
 #: shows in 1000, as with subdivision surfaces.
@@ -222,21 +225,50 @@ def _axes(
     least = np.abs(tangent[start]).argmin(axis=1)
     chosen = np.eye(3)[least]
     side[start] = _unit(chosen - (chosen * tangent[start]).sum(axis=1)[:, None] * tangent[start])
-    order = np.argsort(rank, kind="stable")
-    bounds = np.searchsorted(rank[order], np.arange(1, int(rank.max(initial=0)) + 2))
-    for low, high in pairwise(bounds.tolist()):
-        now = order[low:high]
-        old = now - 1
-        step = _unit(centers[now] - centers[old])
-        turned, way = _mirrored(side[old], step), _mirrored(tangent[old], step)
-        found = _mirrored(turned, _unit(tangent[now] - way))
-        found -= (found * tangent[now]).sum(axis=1)[:, None] * tangent[now]
-        side[now] = _unit(found)
+    _carry(first, centers, tangent, side)
     return tangent, side, miter
 
 
-def _mirrored(vectors: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    return vectors - 2.0 * (vectors * normal).sum(axis=1)[:, None] * normal
+@kernel
+def _carry(start, centers, tangent, side):  # type: ignore[no-untyped-def]
+    """Carries the first axis of each curve's frames from its first sample on, in place."""
+    for k in range(start.shape[0]):
+        if start[k] == k:
+            continue
+        old = k - 1
+        step = _unit_of(_minus(centers[k], centers[old]))
+        turned, way = _mirrored(side[old], step), _mirrored(tangent[old], step)
+        found = _mirrored(turned, _unit_of(_minus(tangent[k], way)))
+        along = _dot(found, tangent[k])
+        for i in range(3):
+            side[k, i] = found[i] - along * tangent[k, i]
+        found = _unit_of((side[k, 0], side[k, 1], side[k, 2]))
+        for i in range(3):
+            side[k, i] = found[i]
+
+
+@inlined
+def _minus(a, b):  # type: ignore[no-untyped-def]
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inlined
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _mirrored(v, normal):  # type: ignore[no-untyped-def]
+    twice = 2.0 * _dot(v, normal)
+    return v[0] - twice * normal[0], v[1] - twice * normal[1], v[2] - twice * normal[2]
+
+
+@inlined
+def _unit_of(v):  # type: ignore[no-untyped-def]
+    length = math.sqrt(_dot(v, v))
+    if length > 0.0:
+        return v[0] / length, v[1] / length, v[2] / length
+    return 0.0, 0.0, 0.0
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -186,8 +186,10 @@ class Unread:
         elif kind == "Camera" and in_prototype:
             self.add("a camera in the prototype of an instancer is not rendered", prim)
         elif kind == "BlendShape":
-            if len(UsdSkel.BlendShape(prim).GetNormalOffsetsAttr().Get() or ()):
-                self.add("normalOffsets of a BlendShape are not followed", prim)
+            shape = UsdSkel.BlendShape(prim)
+            offsets = shape.GetNormalOffsetsAttr().Get() or ()
+            if offsets and len(offsets) != len(shape.GetOffsetsAttr().Get() or ()):
+                self.add("normalOffsets of another number than a BlendShape's offsets", prim)
         elif kind == "RenderProduct":
             self._attributes(prim, kind)
         elif kind == "RenderSettings":
@@ -276,8 +278,6 @@ class Unread:
         if mesh:
             if values.word(mesh.GetSubdivisionSchemeAttr(), "") in _SUBDIVIDED:
                 self._cage(mesh)
-            elif _corner_normals(mesh):
-                self.add("normals of face corners are not followed, faces are shaded flat", prim)
         elif is_skinned(prim) and not curves:
             self.add("a skinned shape that is no mesh stands in its rest pose", prim)
         lengths = ("axis", *LENGTHS.get(kind_of(prim), ("widths", "curveVertexCounts")))
@@ -462,16 +462,6 @@ def _shows_display_color(prim: Usd.Prim) -> bool:
         return True
     family = UsdShade.Tokens.materialBind
     return bool(UsdGeom.Subset.GetUnassignedIndices(UsdGeom.Mesh(prim), "face", family))
-
-
-def _corner_normals(mesh: UsdGeom.Mesh) -> bool:
-    """Whether the normals in force are of face corners."""
-    primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
-    if primvar and primvar.HasValue():
-        kind = primvar.GetInterpolation()
-    else:
-        kind = mesh.GetNormalsInterpolation() if mesh.GetNormalsAttr().HasValue() else ""
-    return bool(kind == UsdGeom.Tokens.faceVarying)
 
 
 def all_equal(primvar: UsdGeom.Primvar) -> bool:

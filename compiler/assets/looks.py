@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from scenec.compiler.arithmetic import elementary
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import Source, channel_of, pixels_of, plain
-from scenec.compiler.scene.material import Cutout
+from scenec.compiler.scene.material import Cutout, ImageFile
 from scenec.schemas.maps import MAP_CHANNELS
 from scenec.schemas.stage import OPACITY_THRESHOLD
+from scenec.schemas.udim import Place, grid_of, is_tiled
 
 #: Rows of a map of texture coordinates: u' = a u + b v + c, v' = d u + e v + f.
 UvMap = tuple[float, float, float, float, float, float]
@@ -114,8 +116,19 @@ class FileLook:
         """Names the material in messages."""
         return f"material {self.name!r}" if self.name else "a material without a name"
 
+    @property
+    def grid(self) -> Place:
+        """Columns and rows of UDIM tiles that its pictures fill together."""
+        sources = (slot.source for slot in self.slots.values())
+        return grid_of(source for source in sources if isinstance(source, Path))
+
     def coordinates(self) -> tuple[str, UvMap]:
-        """The set of texture coordinates that its pictures share, and what is done to it."""
+        """The set of texture coordinates that its pictures share, and what brings it into them."""
+        (name, (a, b, c, d, e, f)), (columns, rows) = self.shared(), self.grid
+        return name, (a / columns, b / columns, c / columns, d / rows, e / rows, f / rows)
+
+    def shared(self) -> tuple[str, UvMap]:
+        """The set of texture coordinates that its pictures share, and what it does to it."""
         for kind in MAP_CHANNELS:
             if kind in self.slots:
                 return self.slots[kind].uv_set, self.slots[kind].uv_map
@@ -138,7 +151,7 @@ def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
     numbers = {key: min(max(float(value), 0.0), 1.0) for key, value in numbers.items()}
     notes = [f"{look.title}: {note}" for note in look.notes]
     pictures: dict[str, Source] = {}
-    shared = look.coordinates()
+    shared, grid = look.shared(), look.grid
     for kind in MAP_CHANNELS:
         if kind not in look.slots or (kind == "opacity" and look.cutout is None):
             continue
@@ -149,13 +162,13 @@ def finished_look(look: FileLook) -> tuple[ModelMaterial, list[str]]:
                 "texture coordinates than the first picture"
             )
             continue
-        pixels = pixels_of(slot.source, slot.label, alpha=slot.channel == 3)
+        pixels = pixels_of(slot.source, slot.label, slot.channel == 3, kind, grid)
+        tiled = grid != (1, 1) or (isinstance(slot.source, Path) and is_tiled(slot.source))
+        source = ImageFile("", b"") if tiled else slot.source
         if MAP_CHANNELS[kind] == 3:
-            pictures[kind] = plain(slot.source, pixels)
+            pictures[kind] = plain(source, pixels)
             continue
-        numbers[kind], picture = channel_of(
-            slot.source, pixels, slot.channel, slot.scale, slot.offset
-        )
+        numbers[kind], picture = channel_of(source, pixels, slot.channel, slot.scale, slot.offset)
         if picture is not None:
             pictures[kind] = picture
         elif kind == "opacity" and look.cutout and numbers[kind] < look.cutout.threshold:

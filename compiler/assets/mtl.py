@@ -13,12 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scenec.compiler.assets import looks
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.pictures import companion, pixels_of
 from scenec.compiler.scene.material import Cutout
 from scenec.schemas.stage import OPACITY_THRESHOLD
+from scenec.schemas.udim import grid_of
 
 #: Options of a picture, and how many words follow at most; "-o 1" and "-o 1 2 3" are both right.
 _OPTIONS = {
@@ -165,15 +167,20 @@ def _slot(file: Path, text: str, notes: list[str], add_file: Callable[[Path], No
     return looks.Slot(path, name, 0, factor[1], factor[0], "", uv_map)
 
 
+def _pixels(slot: looks.Slot, alpha: bool = False) -> NDArray:
+    grid = grid_of([slot.source] if isinstance(slot.source, Path) else [])
+    return pixels_of(slot.source, slot.label, alpha, grid=grid)
+
+
 def _has_alpha(slot: looks.Slot) -> bool:
     """Whether a picture of opacity holds it as alpha that is not the same everywhere."""
-    alpha = pixels_of(slot.source, slot.label, alpha=True)
+    alpha = _pixels(slot, alpha=True)
     return bool(alpha.min() < alpha.max())
 
 
 def _holds_normals(slot: looks.Slot) -> bool:
     """Whether a picture is in colors, and blue as maps of normals are, not gray as heights are."""
-    pixels = pixels_of(slot.source, slot.label)
+    pixels = _pixels(slot)
     if pixels.shape[2] < 3:
         return False
     red, green, blue = (float(np.mean(pixels[..., i], dtype=np.float64)) for i in range(3))

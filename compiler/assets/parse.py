@@ -18,12 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 
 from scenec.compiler.assets.parts import MeshFileError
 from scenec.compiler.assets.shells import ParsedModel
 from scenec.schemas.errors import SceneError
+from scenec.schemas.udim import is_tiled, tiles_of
 
 GLTF = (".glb", ".gltf")
 _USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -70,7 +73,9 @@ def parse_model(file: Path, *, looks: bool = True) -> ParsedModel:
         read: Callable[..., ParsedModel] = getattr(
             import_module(f"scenec.compiler.assets.{module}"), name
         )
-        return read(file, looks)
+        parsed = read(file, looks)
+        files = ([*tiles_of(p).values()] if is_tiled(p) else [p] for p in parsed.companions)
+        return replace(parsed, companions=tuple(chain.from_iterable(files)))
 
 
 @contextmanager

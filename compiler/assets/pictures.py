@@ -20,6 +20,7 @@ from scenec.compiler.scene.material import ImageFile
 from scenec.schemas.errors import SceneError
 from scenec.schemas.maps import read_pixels
 from scenec.schemas.scratch import scratch_folder
+from scenec.schemas.udim import NO_TILE, Place, is_tiled, joined, tiles_of
 
 #: Where a picture is: beside the model or inside of it.
 Source = Path | ImageFile
@@ -40,7 +41,7 @@ _MAGIC = {
 
 
 def companion(file: Path, reference: str, what: str, *, escaped: bool = False) -> Path:
-    r"""The file that a model refers to.
+    r"""The file that a model refers to; of UDIM tiles the path that names them.
 
     Args:
         reference: As it stands there: relative to its folder, ``/`` or ``\`` between names.
@@ -56,12 +57,13 @@ def companion(file: Path, reference: str, what: str, *, escaped: bool = False) -
         )
     path = file.parent / name
     try:
-        there = bool(name) and path.is_file()
+        there = bool(tiles_of(path)) if is_tiled(path) else bool(name) and path.is_file()
     except (OSError, ValueError):
         there = False
     if not there:
+        lacks = "of which no tile is there" if is_tiled(path) else "which is not there"
         raise MeshFileError(
-            f"refers to the {what} {reference[:100]!r}, which is not there; it is sought from the "
+            f"refers to the {what} {reference[:100]!r}, {lacks}; it is sought from the "
             f"folder of {file.name}"
         )
     return path
@@ -76,12 +78,51 @@ def embedded(data: bytes) -> ImageFile:
     return ImageFile(".tga", data)
 
 
-def pixels_of(source: Source, label: str, alpha: bool = False) -> NDArray:
+def pixels_of(
+    source: Source,
+    label: str,
+    alpha: bool = False,
+    kind: str = "base_color",
+    grid: Place = (1, 1),
+) -> NDArray:
     """Pixels of a picture, or its alpha, as ``read_pixels`` gives them.
 
+    Args:
+        source: The picture, or the path of its UDIM tiles.
+        label: What messages call it.
+        alpha: Whether its alpha is wanted.
+        kind: Of ``schemas.maps.MAP_CHANNELS``: what stands where there is no tile.
+        grid: Columns and rows of tiles; one that is in no tiles is in each.
+
     Raises:
-        MeshFileError: It is none that can be read.
+        MeshFileError: It is none that can be read, or its tiles make no picture.
     """
+    tiled = isinstance(source, Path) and is_tiled(source)
+    if grid == (1, 1) and not tiled:
+        return _decoded(source, label, alpha)
+    if isinstance(source, Path) and tiled:
+        tiles = {
+            place: _decoded(file, file.name, alpha) for place, file in tiles_of(source).items()
+        }
+    else:
+        tiles = dict.fromkeys(np.ndindex(grid), _decoded(source, label, alpha))
+    channels = max(tile.shape[2] for tile in tiles.values())
+    kinds = {tile.dtype for tile in tiles.values()}
+    if len(kinds) > 1 or any(number.kind == "f" for number in kinds):
+        raise MeshFileError(
+            f"the picture {label}: tiles of OpenEXR, or of 8 bits beside tiles of 16, become no "
+            "picture here: save them all as PNG of as many bits"
+        )
+    tiles = {place: np.repeat(tile, channels // tile.shape[2], 2) for place, tile in tiles.items()}
+    (number,) = kinds
+    fill = np.rint(np.iinfo(number).max * np.array(NO_TILE.get(kind, (0.0,) * 3)))
+    try:
+        return joined(tiles, grid, tuple(fill.tolist()))
+    except ValueError as error:
+        raise MeshFileError(f"the picture {label}: {error}") from error
+
+
+def _decoded(source: Source, label: str, alpha: bool) -> NDArray:
     try:
         if isinstance(source, Path):
             return read_pixels(source, alpha)

@@ -142,9 +142,6 @@ class UsdLooks:
         asset = _value(texture, "file")
         if not isinstance(asset, Sdf.AssetPath) or not asset.path:
             raise MeshFileError(f"material {name!r}: its {kind} picture has no file")
-        if "<UDIM>" in asset.path:
-            notes.append(f"its {kind} picture in UDIM tiles is left out")
-            return None
         channel = _CHANNELS.get(str(output.GetBaseName()), 0)
         if channel == 3 and kind != "opacity":
             notes.append(f"its {kind}, which is the alpha of {asset.path}, is left out")

@@ -32,26 +32,24 @@ class ExposureRule:
 
 @dataclass(frozen=True, kw_only=True)
 class AutoExposure(ExposureRule):
-    """As a camera's own meter finds it, from what the camera sees: the mean luminance of surfaces
-    is shown as 0.18, unless the brightest hundredth of them would then be shown above 1. Where more
-    than a twentieth of all that is seen, sky included, would be shown above 1, as against the
-    light, it is half of those stops less, three at most; the sun's disc never counts. The same in
-    all backends, whichever frames are rendered; each frame's sidecar states it.
+    """Shows the mean luminance of surfaces as 0.18, unless the brightest hundredth would then be
+    above 1. Where more than a twentieth of the picture, sky included but not the sun's disc, would
+    be above 1, it takes back half of those stops, three at most. The same in all backends; each
+    frame's sidecar states it.
     """
 
     EXAMPLE: ClassVar = {"type": "auto", "per": "sample"}
 
     per: Literal["batch", "sample"] = key(CHOICE, default="batch")
-    """What has one exposure: the batch, so that a sequence does not flicker (a dark sample among
-    bright ones stays dark), or each sample."""
+    """What shares one exposure: the batch (no flicker, a dark sample stays dark), or each
+    sample."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Incident(ExposureRule):
-    """Follows the light that falls on the scene, as an incident light meter does: that of suns and
-    sky on level ground, and that of lamps on a surface that faces them where the middle of the
-    picture meets the ground, or the first lit place below that. Where no light arrives, radiance is
-    shown as it is (EV 0 and the offset).
+    """An incident light meter: suns and sky on level ground, and lamps on a surface facing them
+    where the middle of the picture meets the ground (or the first lit place below). Without light,
+    radiance is shown as it is.
     """
 
     EXAMPLE: ClassVar = {"type": "incident", "ev_offset": 0.5}
@@ -77,20 +75,18 @@ class Fixed(ExposureRule):
 
 @dataclass(frozen=True, kw_only=True)
 class ShutterKeys:
-    """When the rows of a picture are exposed, while the rig goes on moving: motion blur, and a
-    rolling shutter's slant. A sample's pose and time are those of the middle of the picture in the
-    middle of its exposure. Before a motion begins and after it ends the rig stands still. Only on
-    rigs that move over time: not beside random poses.
+    """When rows are exposed while the rig moves: motion blur, rolling shutter. Pose and time of a
+    sample are those of the picture's middle at mid-exposure; before and after its motion the rig
+    stands still. Not with random poses.
     """
 
     EXAMPLE: ClassVar = {"exposure_s": 0.01, "readout_s": 0.02, "direction": "down"}
 
     exposure_s: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=1000, unit="s")
-    """How long each row is exposed; 0: an instant. Left out, the time_s of imaging's manual
+    """How long each row is exposed; 0: an instant. Left out, time_s of imaging's manual
     exposure."""
     readout_s: float = key(PER_BATCH, default=0, at_least=0, at_most=1000, unit="s")
-    """How much later the last row's border is exposed than the first row's; 0: all rows at once (a
-    global shutter)."""
+    """How much later the last row's border is exposed than the first's; 0: a global shutter."""
     direction: Literal["down", "up"] = key(CHOICE, default="down")
     """Whether the top row is exposed first, or the lowest."""
 

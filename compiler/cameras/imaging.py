@@ -40,9 +40,9 @@ class ImagingPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class ImagingKeys:
-    """What the sensor makes of the light: its picture is then 000000.png, with a real camera's
-    optics, noise and processing; rgb stays clean linear radiance. The defaults are typical of an
-    industrial camera with pixels of 3.45 µm. A stage is left out by 0 or null.
+    """Makes 000000.png the picture of a real camera, with its optics, noise and processing; rgb
+    stays clean radiance. Defaults are those of an industrial camera with 3.45 µm pixels. 0 or null
+    leaves a stage out.
     """
 
     EXAMPLE: ClassVar = {
@@ -58,8 +58,8 @@ class ImagingKeys:
     f_number: Number = key(forms.PER_SAMPLE, default=4, at_least=0.5, at_most=1000)
     """Focal length over aperture."""
     headroom_stops: float = key(forms.PER_BATCH, default=1, at_least=-8, at_most=16, unit="EV")
-    """Stops between a value of 1 (what sensor.exposure shows as 1) and the brightest that is told
-    apart; more keeps highlights, and shows more noise."""
+    """Stops between the value 1 of sensor.exposure and saturation; more keeps highlights and shows
+    more noise."""
     pixel_um: float = key(forms.PER_BATCH, default=3.45, at_least=0.1, at_most=1000, unit="µm")
     """Side of a pixel."""
     quantum_efficiency: Any = key(
@@ -84,7 +84,7 @@ class ImagingKeys:
     dark_current: JsonObject = key(an("imaging_dark_current"), default={})
     """Electrons without light."""
     prnu: float = key(forms.FRACTION_PER_BATCH, default=0.006)
-    """Standard deviation of the pixels' sensitivity (photo response non-uniformity), relative."""
+    """Relative standard deviation of pixels' sensitivity (photo response non-uniformity)."""
     dsnu_e: float = key(forms.PER_BATCH, default=0.6, at_least=0, at_most=1_000_000, unit="e-")
     """Standard deviation of the pixels' offset (dark signal non-uniformity)."""
     defects: JsonObject = key(an("imaging_defects"), default={})
@@ -93,24 +93,24 @@ class ImagingKeys:
     """Colors of the first two rows of pixels; none: each pixel sees all three. Pictures of one row
     or column have none."""
     demosaic: str = key(one_of(*formulas.DEMOSAICS), default="malvar")
-    """How missing colors are guessed: Malvar, He and Cutler 2004, or the mean of the nearest."""
+    """Malvar, He and Cutler 2004, or the mean of the nearest."""
     color_matrix: Any | None = key(list_of(_ROW, "One color of pixels.", count=3), optional=True)
-    """What red, green and blue pixels see of linear Rec.709, a row each; the picture undoes it,
-    which makes noise larger. Left out, they see Rec.709."""
+    """What red, green and blue pixels see of linear Rec.709, a row each. The picture undoes it,
+    which amplifies noise. Left out: Rec.709."""
     white_balance: Any = key(
         list_of(bounded(forms.PER_BATCH, above=0, at_most=100), "Red, green or blue.", count=3),
         default=[1, 1, 1],
     )
     """Factors on top of those that show white light as white."""
     vignetting: JsonObject | None = key(an("imaging_vignetting"), optional=True)
-    """How the picture darkens towards its corners; left out, it does not."""
+    """How the picture darkens towards its corners; left out, not."""
     bloom: JsonObject | None = key(an("imaging_bloom"), optional=True)
     """Light that lens and glass scatter; left out, none."""
     jpeg: JsonObject | None = key(an("imaging_jpeg"), optional=True)
-    """Compression that the picture has gone through; left out, none."""
+    """Compression of the picture; left out, none."""
     clean: bool = key(forms.TRUTH, default=False)
-    """Also write 000000.clean.png: same light, optics and exposure, without noise, fixed pattern,
-    defects, mosaic, rounding and JPEG."""
+    """Also write 000000.clean.png: same light, optics and exposure; no noise, defects, mosaic,
+    rounding or JPEG."""
     raw: bool = key(forms.TRUTH, default=False)
     """Also write 000000.raw.png: the converter's numbers behind the mosaic, 16 bits."""
 
@@ -146,8 +146,8 @@ class ImagingKeys:
 
 @dataclass(frozen=True, kw_only=True)
 class Metered:
-    """Shows what sensor.exposure says, by time and speed: the lowest speed while the time is long
-    enough, then more speed. Where the limits bind, the picture is darker or brighter.
+    """Shows what sensor.exposure says: the lowest speed while the time suffices, then more speed.
+    Beyond the limits the picture is darker or brighter.
     """
 
     EXAMPLE: ClassVar = {"type": "metered"}
@@ -179,9 +179,8 @@ class Manual:
     time_s: float = key(forms.PER_SAMPLE, above=0, at_most=1_000_000, unit="s")
     """Exposure time."""
     iso: float | None = key(forms.PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000)
-    """ISO speed (ISO 12232, saturation-based): 78 / iso lux seconds make the largest number. Below
-    the base speed (in sidecars), where pixels are full before, highlights clip sooner. Either this
-    or gain_e."""
+    """ISO speed (ISO 12232, saturation-based): 78 / iso lux seconds give the largest number. Below
+    the base speed (in sidecars) pixels are full first. Or give gain_e."""
     gain_e: float | None = key(
         forms.PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000, unit="e-/DN"
     )
@@ -205,9 +204,8 @@ class Manual:
 
 @dataclass(frozen=True, kw_only=True)
 class AutoImaging:
-    """From each picture alone, whatever is rendered before it: the logarithmic mean of the
-    luminance of what is lit, or a percentile of all, is shown as target (in steps of 1/64 EV). Time
-    first, then speed; without light the longest. sensor.exposure has no say.
+    """Meters each picture alone: the logarithmic mean of the lit luminance, or a percentile of all,
+    is shown as target, in steps of 1/64 EV. Time first, then speed. Ignores sensor.exposure.
     """
 
     EXAMPLE: ClassVar = {"type": "auto", "target": 0.18}
@@ -235,8 +233,8 @@ class AutoImaging:
 
 @dataclass(frozen=True, kw_only=True)
 class Vignetting:
-    """cos(t)^power · (1 + a r² + b r⁴ + c r⁶), t the angle to the axis, r = 1 in the corner
-    farthest from the principal point.
+    """Factor cos(t)^power · (1 + a r² + b r⁴ + c r⁶), with t the angle to the axis and r = 1 in the
+    farthest corner.
     """
 
     EXAMPLE: ClassVar = {"power": 4}
@@ -252,8 +250,8 @@ class Vignetting:
 
 @dataclass(frozen=True, kw_only=True)
 class Bloom:
-    """A share of the light is spread by three Gaussians (60, 30 and 10 % by radius_px, 3 and 9
-    times that); its sum stays.
+    """Spreads a share of the light by three Gaussians (60, 30 and 10 % by radius_px, 3 and 9 times
+    that); the sum stays.
     """
 
     EXAMPLE: ClassVar = {"share": 0.02, "radius_px": 6}
@@ -308,7 +306,7 @@ class Defects:
     hot_rate_e_s: float = key(
         forms.PER_BATCH, default=500, at_least=0, at_most=1_000_000_000, unit="e-/s"
     )
-    """What it is more on average (exponentially distributed), at the reference temperature."""
+    """Their mean excess (exponentially distributed) at the reference temperature."""
     dead: float = key(forms.PER_BATCH, default=1e-05, at_least=0, at_most=0.5)
     """Share of pixels that see nothing."""
 

@@ -21,8 +21,8 @@ _ORIGIN: Final = [0.0, 0.0, 0.0]
 
 @dataclass(frozen=True, kw_only=True)
 class ImuNoiseKeys:
-    """Errors of an IMU's readings, by Allan parameters (IEEE Std 952), as data sheets and the
-    calibrations of Kalibr and VINS have them. 0: none of it.
+    """Errors by Allan parameters (IEEE Std 952), as data sheets, Kalibr and VINS have them. 0:
+    none.
     """
 
     EXAMPLE: ClassVar = {
@@ -78,10 +78,9 @@ class ImuPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class ImuKeys:
-    """An inertial measurement unit: angular velocity and specific force along the rig's motion.
-
-    Its axes are x ahead, y left, z up. The motion has to have accelerations without jumps: those of
-    the types orbit, mav and descent, and tracks whose interpolation is spline.
+    """Angular velocity and specific force along the rig's motion; axes x ahead, y left, z up.
+    Accelerations must be continuous: poses orbit, mav, descent, and tracks with interpolation
+    spline.
     """
 
     EXAMPLE: ClassVar = {
@@ -98,7 +97,7 @@ class ImuKeys:
     gravity_m_s2: float | None = key(
         forms.PER_BATCH, optional=True, at_least=0, at_most=1000, unit="m/s²"
     )
-    """Gravity, straight down; left out, that of the terrain's planet, else of the sky's."""
+    """Gravity; left out, that of the terrain's planet, else the sky's."""
     noise: ImuNoiseKeys = key(an("imu_noise", drawn=True), default={})
     """What is wrong with its readings."""
 

@@ -48,10 +48,9 @@ class LensKind:
 
 @dataclass(frozen=True, kw_only=True)
 class BrownConrady(LensKind):
-    """Radial and tangential distortion of a pinhole's picture (Brown 1966; OpenCV's rational
-    model): radii are multiplied by (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
-    It must be one-to-one over the whole picture. The sensor's fov_deg counts radial distortion in,
-    tangential not.
+    """Radial and tangential distortion (Brown 1966; OpenCV's rational model): radii times (1 + k1
+    r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6). It must be one-to-one over the picture.
+    fov_deg includes radial distortion only.
     """
 
     EXAMPLE: ClassVar = {"type": "brown_conrady", "k1": -0.28, "k2": 0.07, "p1": 0.0002}
@@ -80,8 +79,7 @@ class BrownConrady(LensKind):
 class KannalaBrandt(LensKind):
     """A fisheye: a ray at the angle t to the axis lies t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)
     focal lengths from the principal point (Kannala and Brandt 2006; OpenCV's fisheye). Without
-    coefficients it is equidistant. Here fx and fy are pixels per radian, and fov_deg may be up to
-    360.
+    coefficients it is equidistant; fx and fy are pixels per radian.
     """
 
     EXAMPLE: ClassVar = {"type": "kannala_brandt", "k1": -0.01, "max_angle_deg": 95}
@@ -97,17 +95,15 @@ class KannalaBrandt(LensKind):
     k4: float = key(forms.PER_BATCH, default=0, at_least=-1000, at_most=1000)
     """Coefficient of t^9."""
     max_angle_deg: float = key(forms.ANGLE_PER_BATCH, default=180, above=0, at_most=180)
-    """Largest angle of a ray to the axis, the border of the image circle: what the picture has
-    beyond it shows nothing."""
+    """Largest angle of a ray to the axis: the border of the image circle, beyond which nothing
+    shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Equirectangular(LensKind):
-    """A panorama: columns are longitudes around the camera's y axis, rows latitudes.
-
-    Without fov_deg and intrinsics it is the whole sphere; with fov_deg it has square pixels,
-    with intrinsics fx and fy pixels per radian. What lies beyond the poles, or beyond 180° to
-    the left and right, shows nothing.
+    """A panorama: columns are longitudes around the camera's y axis, rows latitudes. Alone it is
+    the whole sphere; with fov_deg it has square pixels, with intrinsics fx and fy pixels per
+    radian. Beyond the sphere nothing shows.
     """
 
     EXAMPLE: ClassVar = {"type": "equirectangular"}
@@ -138,24 +134,20 @@ _OF_IMAGING = {"f_number": "f_number", "focal_length_mm": "pixel_um"}
 
 @dataclass(frozen=True, kw_only=True)
 class FocusKeys:
-    """A lens of finite aperture: rgb is sharp at one distance and blurred before and behind it.
-
-    Field of view and annotation stay those of the pinhole in the aperture's middle. Not with
-    lens.
+    """A lens of finite aperture: rgb is sharp at one distance, blurred before and behind it. Field
+    of view and annotation stay the pinhole's. Not with lens.
     """
 
     EXAMPLE: ClassVar = {"distance_m": 4, "f_number": 2.8, "focal_length_mm": 35}
 
     distance_m: Number = key(forms.LENGTH_PER_SAMPLE, above=0, at_most=1_000_000_000)
-    """Distance along the optical axis of the plane that is sharp; beyond the focal length."""
+    """Distance of the sharp plane along the optical axis; beyond the focal length."""
     f_number: Number | None = key(forms.PER_SAMPLE, optional=True, at_least=0.5, at_most=1000)
-    """Focal length over diameter of the aperture. With imaging its f_number stands for it; without,
-    it must be given."""
+    """Focal length over aperture. Required without imaging, whose f_number counts."""
     focal_length_mm: float | None = key(
         forms.PER_BATCH, optional=True, above=0, at_most=1_000_000, unit="mm"
     )
-    """Focal length. With imaging it follows from pixel_um and the field of view; without, it must
-    be given."""
+    """Focal length. Required without imaging, whose pixel_um gives it."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

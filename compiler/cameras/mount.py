@@ -30,9 +30,8 @@ class Mount:
 
 @dataclass(frozen=True, kw_only=True)
 class Trigger:
-    """At which samples a sensor is triggered: first, first + every, first + 2 every and so on.
-
-    With samples at 30 Hz, every 3 is 10 Hz.
+    """Samples at which a sensor is triggered: first, first + every, and so on. With samples at 30
+    Hz, every 3 is 10 Hz.
     """
 
     EXAMPLE: ClassVar = {"every": 5, "first": 2}

@@ -15,9 +15,8 @@ from scenec.schemas.codec import JsonObject
 
 @dataclass(frozen=True, kw_only=True)
 class RigKeys:
-    """A body that moves through the scene with sensors mounted on it.
-
-    Its frame is that of a camera that looks ahead: x right, y down, z forward.
+    """A moving body with sensors on it. Its frame is that of a camera that looks ahead: x right, y
+    down, z forward.
     """
 
     EXAMPLE: ClassVar = {
@@ -34,8 +33,8 @@ class RigKeys:
     imus: JsonObject = key(named(an("imu"), "One IMU.", by="imu", least=1), sparse=True)
     """Inertial measurement units by name."""
     allow_below: bool = key(forms.TRUTH, default=False, sparse=True)
-    """Whether its sensors may be below the ground, inside of objects or off the terrain. Otherwise
-    a sensor that is there at any sample, or while its shutter is open, is an error of compile."""
+    """Whether sensors may be below the ground, in objects or off the terrain. Otherwise one there
+    at any sample, or while its shutter is open, is an error."""
 
 
 @dataclass(frozen=True)

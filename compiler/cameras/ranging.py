@@ -37,9 +37,8 @@ _GRID = ("beams", "elevation_deg", "elevations_deg", "azimuths", "azimuth_deg")
 
 @dataclass(frozen=True, kw_only=True)
 class Stereo:
-    """Depth from a pair: the sensor's camera and another one to the right.
-
-    No answer where the other one does not see the point.
+    """Depth from a pair: the sensor's camera and one to its right. No answer where the other does
+    not see the point.
     """
 
     EXAMPLE: ClassVar = {
@@ -62,12 +61,11 @@ class Stereo:
     bias_px: float = key(
         forms.PER_BATCH, default=0, sparse=True, at_least=-100, at_most=100, unit="px"
     )
-    """What all disparities are off by, as of a calibration; above 0, depths are short."""
+    """Offset of all disparities; above 0, depths are short."""
     edge_px: float = key(forms.PER_BATCH, default=0, sparse=True, at_least=0, at_most=64, unit="px")
-    """No answer within so many pixels, along rows and columns, of where disparity steps by more
-    than a pixel."""
+    """No answer within so many pixels of a step of disparity above one pixel."""
     lost: float = key(forms.FRACTION_PER_BATCH, default=0, sparse=True)
-    """Share of answers that are lost by chance: one less the fill rate."""
+    """Share of answers lost by chance: 1 less the fill rate."""
 
     def draw(self, context: Context) -> DepthCamera:
         """Returns what measures."""
@@ -76,8 +74,8 @@ class Stereo:
 
 @dataclass(frozen=True, kw_only=True)
 class TimeOfFlight:
-    """Depth from the phase of modulated light, in sunlight: noise grows with the square of the
-    range and with slant.
+    """Depth from the phase of modulated light: noise in sunlight, which grows with the square of
+    the range and with slant.
     """
 
     EXAMPLE: ClassVar = {
@@ -89,13 +87,13 @@ class TimeOfFlight:
 
     TITLE: ClassVar = "Time-of-flight depth"
     noise_m: float = key(forms.LENGTH_PER_BATCH, default=0.01, at_least=0, at_most=1000)
-    """Standard deviation of ranges at at_m, of a surface that faces the camera."""
+    """Standard deviation of ranges at at_m, of a facing surface."""
     at_m: float = key(forms.LENGTH_PER_BATCH, default=2, above=0, at_most=1000000.0)
     """Range of that."""
     ambiguity_m: float = key(forms.LENGTH_PER_BATCH, default=15, above=0, at_most=1000000000.0)
     """Ranges are told modulo this, c / (2 f): 15 m at 10 MHz."""
     blur_px: float = key(forms.PER_BATCH, default=0.4, at_least=0, at_most=16, unit="px")
-    """Standard deviation of the spot that a pixel gathers light from; at outlines ranges mix."""
+    """Standard deviation of a pixel's spot; at outlines ranges mix."""
     range_m: tuple[float, float] = key(_RANGE_M, default=[0.1, 15])
     """Nearest and farthest range that is answered."""
     bias_m: float = key(
@@ -103,7 +101,7 @@ class TimeOfFlight:
     )
     """What all ranges are off by."""
     lost: float = key(forms.FRACTION_PER_BATCH, default=0, sparse=True)
-    """Share of answers that are lost by chance: one less the fill rate."""
+    """Share of answers lost by chance: 1 less the fill rate."""
 
     def draw(self, context: Context) -> DepthCamera:
         """Returns what measures."""
@@ -112,10 +110,7 @@ class TimeOfFlight:
 
 @dataclass(frozen=True, kw_only=True)
 class LidarNoiseKeys:
-    """What is wrong with a lidar's answers.
-
-    Its numbers depend on seed, batch, sample and the lidar's name alone.
-    """
+    """Errors of a lidar, drawn from seed, batch, sample and its name alone."""
 
     EXAMPLE: ClassVar = {"range_m": 0.02, "dropout": 0.01}
 
@@ -123,20 +118,18 @@ class LidarNoiseKeys:
     range_m: float = key(forms.LENGTH_PER_BATCH, default=0.02, at_least=0, at_most=1000)
     """Standard deviation of ranges, whatever the range."""
     range_ratio: float = key(forms.FRACTION_PER_BATCH, default=0)
-    """Standard deviation of ranges as a share of the range, added in square to range_m."""
+    """Relative standard deviation of ranges, added in square to range_m."""
     angle_deg: float = key(forms.ANGLE_PER_BATCH, default=0, at_least=0, at_most=10)
-    """Standard deviation of azimuth and of elevation: a beam meets what lies that far beside the
-    direction that is told."""
+    """Standard deviation of azimuth and elevation: the beam meets what lies that far beside its
+    nominal direction."""
     dropout: float = key(forms.FRACTION_PER_BATCH, default=0)
     """Share of answers that are lost."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LidarIntensityKeys:
-    """How a lidar tells intensities: the reflectance at the laser's wavelength, times the cosine of
-    the incidence, and with at_m by the square of the range.
-
-    Reflectance is a sum of the colors that cameras see; gloss counts as if it were dull.
+    """Intensity: reflectance at the laser's wavelength times the cosine of incidence, and with at_m
+    over squared range. Reflectance is a weighted sum of the cameras' colors; gloss counts as matte.
     """
 
     EXAMPLE: ClassVar = {"bands": [1, 0, 0], "at_m": 10}
@@ -146,12 +139,12 @@ class LidarIntensityKeys:
         list_of(bounded(forms.CONSTANT, at_least=-10, at_most=10), "Of one color.", count=3),
         default=list(LidarIntensity.bands),
     )
-    """Weights of red, green and blue in the reflectance; red is nearest to 850 to 1550 nm."""
+    """Weights of red, green and blue; red is nearest to 850 to 1550 nm."""
     at_m: float = key(
         forms.LENGTH_PER_BATCH, default=LidarIntensity.at_m, at_least=0, at_most=1_000_000
     )
-    """Range at which a white surface that faces the lidar has the intensity 1, which then falls
-    with the square of the range; 0: ranges are calibrated away."""
+    """Range at which a white facing surface has intensity 1, which falls with squared range; 0:
+    calibrated away."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,9 +155,9 @@ class LidarFootprintKeys:
 
     TITLE: ClassVar = "Lidar's beam"
     divergence_deg: float = key(forms.ANGLE_PER_BATCH, at_least=0, at_most=MOST_DEG)
-    """Full angle out to 1/e² of the power in the middle, of a Gaussian beam."""
+    """Full angle of a Gaussian beam, to 1/e² of its power."""
     rays: int = key(forms.COUNT, default=LidarFootprint.rays, at_least=1, at_most=MOST_RAYS)
-    """Exact rays that sample a beam, of equal energy; one alone goes along its axis."""
+    """Rays of equal energy that sample a beam; one alone goes along its axis."""
     separation_m: float = key(
         forms.LENGTH_PER_BATCH, default=LidarFootprint.separation_m, at_least=0, at_most=1000
     )
@@ -177,15 +170,15 @@ class LidarFootprintKeys:
 
 @dataclass(frozen=True, kw_only=True)
 class LidarDetectionKeys:
-    """Which returns a lidar detects: those whose energy (reflectance times cosine over the square
-    of the range), noise added, reaches a threshold, as data sheets have ranges by reflectance.
+    """Detects returns whose energy (reflectance times cosine over squared range, plus noise)
+    reaches a threshold, as data sheets state ranges by reflectance.
     """
 
     EXAMPLE: ClassVar = {"range_m": 100, "reflectance": 0.1, "probability": 0.9, "noise": 0.1}
 
     TITLE: ClassVar = "Lidar's detection"
     range_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
-    """Range at which a surface of that reflectance, facing the lidar, has that probability."""
+    """Range at which a facing surface of that reflectance has that probability."""
     reflectance: float = key(
         forms.PER_BATCH, default=LidarDetection.reflectance, above=0, at_most=1
     )
@@ -210,10 +203,8 @@ class ScanPattern(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class LidarKeys:
-    """A scanner of beams at fixed elevations that turns about its upward axis, or one whose rays go
-    where the pattern of another package says.
-
-    A scan is taken at one instant. It has azimuths and either beams or elevations_deg, or it has a
+    """A scanner that turns beams of fixed elevations about its upward axis, or follows another
+    package's pattern. A scan is of one instant. Give azimuths and beams or elevations_deg, or a
     pattern.
     """
 

@@ -95,10 +95,8 @@ class Intrinsics:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorKeys:
-    """A camera.
-
-    It has either fov_deg or intrinsics; a panorama of the whole sphere needs neither. With a preset
-    it need say no more than how it differs from that.
+    """A camera. Give fov_deg or intrinsics, or neither for a panorama of the whole sphere. With a
+    preset, give only what differs.
     """
 
     EXAMPLE: ClassVar = {"resolution": [640, 480], "fov_deg": 65}
@@ -110,8 +108,7 @@ class SensorKeys:
     }
 
     preset: str | None = key(one_of(*PRESETS), sparse=True)
-    """A camera that people own (docs/presets.md): its keys, but for those that stand here; null
-    takes one away."""
+    """A camera that people own: its keys, unless given here; null removes one."""
     resolution: tuple[int, int] = key(
         list_of(bounded(COUNT, at_least=1, at_most=65_535), "Pixels along one axis.", count=2),
         optional=True,
@@ -122,35 +119,33 @@ class SensorKeys:
         ANGLE_PER_BATCH.but(**{"x-usual-minimum": 4}), optional=True, above=0, at_most=360
     )
     """Horizontal field of view, with square pixels and a centered principal point; up to 360 with
-    the lenses kannala_brandt and equirectangular."""
+    kannala_brandt and equirectangular."""
     intrinsics: Intrinsics | None = key(an("intrinsics", drawn=True), optional=True)
     """Intrinsics."""
     lens: JsonObject | None = key(an("lens"), sparse=True)
-    """How the lens bends the picture; left out, it does not: a pinhole."""
+    """How the lens bends the picture; left out, a pinhole."""
     mount: Mount = key(an("mount", drawn=True), default={})
     """Where the sensor sits on the rig."""
     exposure: JsonObject = key(an("exposure"), default={"type": "auto"})
     """Exposure of the 8-bit picture."""
     imaging: ImagingKeys | None = key(an("imaging", drawn=True), sparse=True)
-    """Optics, noise and processing of a real camera; left out, the picture shows the radiance as it
-    is."""
+    """Optics, noise and processing of a real camera; left out, none."""
     effects: tuple[JsonObject, ...] | None = key(list_of(an("effect"), least=1), sparse=True)
-    """What other packages do to the picture after all else, in order; rgb stays as it is."""
+    """What other packages do to the picture last, in order; rgb stays."""
     focus: FocusKeys | None = key(an("focus", drawn=True), sparse=True)
     """What is sharp, and how shallow; left out, everything is sharp."""
     shutter: Opening | None = key(an("shutter", drawn=True), sparse=True)
-    """When each row is exposed: motion blur and rolling shutter; left out, the whole picture is of
-    one instant."""
+    """When each row is exposed: motion blur, rolling shutter; left out, one instant."""
     trigger: Trigger | None = key(an("trigger", drawn=True), sparse=True)
-    """At which samples it takes a frame; left out, at all."""
+    """Samples at which it takes a frame; left out, all."""
     depth_camera: JsonObject | None = key(an("depth_camera"), sparse=True)
     """How the sensor measures depth, for the output depth_measured."""
     vehicle: VehicleKeys | None = key(an("vehicle", drawn=True), sparse=True)
     """Whom the output traversable is for; left out, about a Mars Exploration Rover."""
     partner: str | None = key(TEXT, sparse=True)
-    """Another sensor of the rig, to whose picture disparity goes. The output needs a rectified
-    pair, alike but for its place along the picture's rows and its principal point's column; scenec
-    export --rectify makes one of any two side by side."""
+    """Another sensor of the rig that disparity goes to. The pair must be rectified: alike but for
+    position along rows and the principal point's column. scenec export --rectify makes one of any
+    two side by side."""
     outputs: tuple[str, ...] = key(list_of(OUTPUT, least=1, unique=True), optional=True)
     """This sensor's channels; left out, those of the cfg."""
 

@@ -31,9 +31,7 @@ _HALF_TURN = np.diag([*names.HALF_TURN, 1.0])
 
 @dataclass(frozen=True)
 class Sampling:
-    """At which times of a motion the samples are: evenly from its beginning to its end, at a rate,
-    or at given times.
-    """
+    """When the samples are: evenly from beginning to end, at a rate, or at given times."""
 
     EXAMPLE: ClassVar = {"start_s": 0, "rate_hz": 10}
 
@@ -44,13 +42,11 @@ class Sampling:
         at_most=1000000000.0,
         unit="s",
     )
-    """Seconds from the motion's beginning (a track's first stamp, whatever epoch that counts from)
-    to the first sample."""
+    """Seconds from the motion's beginning (a track's first stamp) to the first sample."""
     stop_s: float | None = key(PER_BATCH, optional=True, at_least=0, at_most=1000000000.0, unit="s")
     """No sample is later; left out, the motion's end."""
     rate_hz: float | None = key(PER_BATCH, optional=True, above=0, at_most=1000000.0, unit="Hz")
-    """Samples a second; left out, as many as the cfg asks for are spread evenly from start_s to
-    stop_s."""
+    """Samples a second; left out, samples are spread evenly from start_s to stop_s."""
     times_s: Sequence[float] | None = key(
         list_of(bounded(CONSTANT, at_least=0, at_most=1000000000.0), "One time.", least=1),
         optional=True,
@@ -242,42 +238,38 @@ class TrackWay:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackFile:
-    """Poses from a file: one row a sample, or, with sampling, interpolated at any times."""
+    """Poses from a file: a row a sample, or interpolated where sampling is given."""
 
     EXAMPLE: ClassVar = {"type": "track", "file": "trajectory.txt", "format": "tum"}
 
     file: Path = key(file("track"))
-    """A CSV file with the columns time_s, x_m, y_m, z_m, qw, qx, qy, qz (in this order where there
-    is no header line): position in the world and rotation from the rig's frame to it; or one of
-    another format. A header may say latitude_deg, longitude_deg in the place of x_m, y_m, where the
-    terrain is on a DEM whose file has a georeference. Relative to the cfg, or
+    """CSV with columns time_s, x_m, y_m, z_m, qw, qx, qy, qz (this order without a header):
+    position in the world and rotation from the rig's frame to it; or a file of another format. On a
+    georeferenced DEM, latitude_deg, longitude_deg may replace x_m, y_m. Relative to the cfg, or
     "package:NAME/path"."""
     convention: Literal["opencv", "usd"] = key(CHOICE, default="opencv")
-    """Axes that the quaternions speak of: opencv (x right, y down, z forward; OAISYS of 2021) or
-    usd (x right, y up, looking down -z; as Blender and today's OAISYS)."""
+    """Axes of the quaternions: opencv (x right, y down, z forward; OAISYS of 2021) or usd (x right,
+    y up, looking down -z; Blender, OAISYS today)."""
     format: Literal["csv", "tum", "oaisys"] | None = key(CHOICE, sparse=True)
-    """Format: csv (also where it is left out), tum (timestamp tx ty tz qx qy qz qw, separated by
-    blanks) or oaisys (frame,x,y,z,qw,qx,qy,qz, without times)."""
+    """csv (also left out), tum (timestamp tx ty tz qx qy qz qw, blank-separated) or oaisys
+    (frame,x,y,z,qw,qx,qy,qz, without times)."""
     quaternion: Literal["wxyz", "xyzw"] | None = key(CHOICE, sparse=True)
-    """Order of the quaternions of a file without a header line; left out, the format's own: wxyz,
-    for tum xyzw."""
+    """Order of quaternions without a header line; left out, wxyz, for tum xyzw."""
     frame_rate_hz: float | None = key(CONSTANT, sparse=True, above=0, at_most=1_000_000, unit="Hz")
     """Frames a second of a file that counts frames (oaisys)."""
     sampling: Sampling | None = key(an("pose_sampling", drawn=True), sparse=True)
     """At which times the samples are; left out, at the first stamps, one row a sample."""
     interpolation: Literal["linear", "cubic", "screw", "spline"] | None = key(CHOICE, sparse=True)
-    """How poses between two stamps are found. linear, the default: straight lines, and turns the
-    shorter way at an even rate. cubic: a curve through all stamps without jumps of velocity. screw:
-    a helix from pose to pose, which moves and turns at once. spline: a curve without jumps of
+    """Between stamps. linear (default): straight lines, turns the shorter way at an even rate.
+    cubic: continuous velocity. screw: a helix, moving and turning at once. spline: continuous
     acceleration, as an IMU needs."""
     max_gap_s: float | None = key(CONSTANT, sparse=True, above=0, at_most=1000000000.0, unit="s")
-    """Stamps that are farther apart are a gap; left out, none are."""
+    """Stamps farther apart are a gap; left out, none are."""
     gaps: Literal["error", "hold"] | None = key(CHOICE, sparse=True)
-    """A sample in a gap is an error (also where it is left out), or takes the pose before it
-    (hold)."""
+    """A sample in a gap: an error (also left out), or the pose before it (hold)."""
     heights: Literal["world", "ground"] | None = key(CHOICE, sparse=True)
-    """What heights are over: the world's zero (also where it is left out), or the ground below the
-    rig at that time, whose bumps the rig then follows."""
+    """What heights are over: the world's zero (also left out), or the ground below the rig, whose
+    bumps it follows."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

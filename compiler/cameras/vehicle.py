@@ -11,9 +11,8 @@ from scenec.schemas.vehicle import Vehicle
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleKeys:
-    """A vehicle, for the output traversable: what the ground under it must be like.
-
-    The plane that fits the heights under it best is what it stands on (docs/datasets.md).
+    """A vehicle for the output traversable: what the ground under it must be like, measured from
+    the plane that fits it best (docs/datasets.md).
     """
 
     EXAMPLE: ClassVar = {"wheel_base_m": 2.2, "wheel_m": 0.5, "clearance_m": 0.6, "step_m": 0.5}

@@ -34,14 +34,14 @@ class Cfg:
     version: Any = key(Form({"const": 1}))
     """Version of the cfg format."""
     name: str = key(forms.NAME)
-    """Name of the dataset: letters, digits and underscores, no digit first."""
+    """Name of the dataset: letters, digits, underscores; no digit first."""
     description: str = key(forms.TEXT, default="")
     """What the dataset is for; not read."""
     batches: int = key(forms.COUNT, default=1, at_least=1, at_most=1_000_000)
-    """Number of batches. A batch is one terrain with its objects: one stage."""
+    """Number of batches; each is one terrain with its objects, one stage."""
     samples: int = key(forms.COUNT, default=1, at_least=1, at_most=1_000_000)
-    """Number of samples of each batch. A sample is one picture of every sensor: camera and light
-    change, terrain and scattered objects do not."""
+    """Samples of each batch. A sample is one picture of every sensor: cameras and light change,
+    terrain and scattered objects do not."""
     outputs: Any = key(
         list_of(forms.OUTPUT, least=1, unique=True), default=["rgb", "label", "instance", "depth"]
     )
@@ -53,8 +53,7 @@ class Cfg:
     materials: JsonObject = key(named(an("material"), "One material.", by="material", least=1))
     """Surface materials by name. Each must be used."""
     objects: JsonObject = key(named(an("objects"), "One class of objects.", by="class"), default={})
-    """Classes of objects by name; their order decides instance ids, and what each finds in its
-    place."""
+    """Classes of objects by name, in the order of placement and of instance ids."""
     object_detail: JsonObject = key(an("object_detail"), default={})
     """How much geometry all objects have together."""
     light: JsonObject = key(an("light"), default={})
@@ -65,7 +64,7 @@ class Cfg:
 
 @dataclass(frozen=True, kw_only=True)
 class LabelChoice:
-    """The label that a thing has on each level; 0, no label, on those that are left out."""
+    """Label on each level; 0, no label, on those left out."""
 
     EXAMPLE: ClassVar = {"class": "rock", "surface": "basalt"}
 
@@ -94,9 +93,8 @@ class LabelChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class LabelKeys:
-    """Label levels by name; each is one annotation channel.
-
-    Id 0 means "no label" and cannot be given a name. Every name must be used.
+    """Label levels by name, one annotation channel each. Id 0 means "no label" and has no name.
+    Every name must be used.
     """
 
     EXAMPLE: ClassVar = {

@@ -95,10 +95,7 @@ PER_INSTANCE = Form(
     {"$ref": "#/$defs/number", "x-per": "instance", "x-per-allowed": ["instance", "batch"]}
 )
 PER = one_of("batch", "sample", "instance").but(
-    description=(
-        "When it is drawn: once a batch, once a sample, or once for each instance. Left "
-        "out, as the key says after its type; else once a batch."
-    )
+    description=("When it is drawn. Left out, as the key says after its type; else once a batch.")
 )
 FRACTION_PER_BATCH = bounded(PER_BATCH, at_least=0, at_most=1)
 FRACTION_PER_SAMPLE = bounded(PER_SAMPLE, at_least=0, at_most=1)
@@ -114,17 +111,15 @@ TURN_PER_SAMPLE = bounded(ANGLE_PER_SAMPLE, at_least=-100_000, at_most=100_000)
 COORDINATE_PER_BATCH = bounded(LENGTH_PER_BATCH, at_least=-10_000_000, at_most=10_000_000)
 COORDINATE_PER_SAMPLE = bounded(LENGTH_PER_SAMPLE, at_least=-10_000_000, at_most=10_000_000)
 WHOLE_PER_BATCH = PER_BATCH.but(x_kind="integer")
-RAGGED = an("condition_ragged", drawn=True).but(
-    description="A noise that is added, so that the border is ragged and no contour line."
-)
+RAGGED = an("condition_ragged", drawn=True).but(description="Noise that makes the border ragged.")
 SAMPLING = an("pose_sampling", drawn=True).but(
     default={}, description="At which times of the motion the samples are."
 )
 SOFTNESS_M = bounded(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000_000).but(
     default=0,
     description=(
-        "Width over which it fades about a bound: half of it on either side. On the ground "
-        "at least an eighth of what changes over a spacing there."
+        "Width over which it fades about a bound, half on either side. On the ground at least an "
+        "eighth of the change over a spacing."
     ),
 )
 LACUNARITY = bounded(PER_BATCH, at_least=1, at_most=8).but(
@@ -134,7 +129,7 @@ GAIN = bounded(PER_BATCH, at_least=0, at_most=2).but(
     default=0.5, description="Ratio of the amplitudes of successive octaves."
 )
 BACKGROUND = FRACTION_PER_BATCH.but(
-    default=0, description="Part of the objects that is spread evenly over the terrain instead."
+    default=0, description="Part of the objects that is spread evenly instead."
 )
 NOISE_SCALE_M = bounded(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000).but(
     description="Size of the largest features."
@@ -173,7 +168,7 @@ COLOR = list_of(FRACTION_PER_SAMPLE, "Linear Rec.709 red, green or blue.", count
 )
 GROUND_COLOR = COLOR.but(
     default=[0.3, 0.26, 0.22],
-    description="Albedo of the far ground that is seen below the horizon, linear Rec.709.",
+    description="Albedo of far ground below the horizon, linear Rec.709.",
 )
 SKY_LABELS = an("label_choice").but(
     default={}, description="The sky's label; a level left out has label 0."
@@ -181,13 +176,12 @@ SKY_LABELS = an("label_choice").but(
 SKY_LABELS_BELOW = an("label_choice").but(
     default={},
     x_sparse=True,
-    description="The label of what lies below the horizontal plane through the camera and is no "
-    "surface: the ground of the sky's picture. A level left out has the sky's label there.",
+    description="Label below the horizontal plane through the camera where no surface is: the "
+    "ground in the sky's picture. A level left out has the sky's label.",
 )
 SURFACE_RELIEF_M = bounded(LENGTH_PER_BATCH, at_least=0, at_most=1_000_000).but(
     description=(
-        "Root mean square of the relief's heights, which the normals are of; left out, as "
-        "the kind has it in nature."
+        "Root mean square of the relief's heights, which make the normals; left out, as in nature."
     )
 )
 SURFACE_CONTRAST = bounded(PER_BATCH, at_least=0, at_most=2).but(
@@ -199,9 +193,8 @@ SURFACE_RESOLUTION = one_of(64, 128, 256, 512, 1024, 2048, 4096).but(
 SURFACE_DISPLACEMENT = TRUTH.but(
     default=False,
     description=(
-        "Whether the relief becomes geometry where a camera is near enough to see it; for "
-        "materials of the ground, projected from above. The normals then keep what is finer "
-        "than the mesh."
+        "Whether the relief becomes geometry near cameras, for materials of the ground projected "
+        "from above; normals keep what is finer."
     ),
 )
 OUTPUT = one_of(*PASSES).but(x_open="scenec.passes", description="One channel.")

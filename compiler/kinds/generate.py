@@ -24,8 +24,8 @@ _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 #: Of each law of numbers, where it is drawn.
 _NUMBER = {
     "title": "Number",
-    "description": "A constant, or a distribution that it is drawn from. Bounds of a key hold for "
-    "all that a distribution can give.",
+    "description": "A constant, or a distribution. Bounds of a key hold for all that a "
+    "distribution can give.",
     "type": ["number", "object"],
     "if": {"type": "object"},
 }

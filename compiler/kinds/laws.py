@@ -40,9 +40,7 @@ class LogUniform:
 
 @dataclass(frozen=True, kw_only=True)
 class Normal:
-    """Normal, truncated to [min, max]; a bound that is left out is the bound of the key, where it
-    has one. mean and std are those before truncation.
-    """
+    """Normal, truncated to [min, max]; a bound left out is the key's own."""
 
     EXAMPLE: ClassVar = {"type": "normal", "mean": 1.5, "std": 0.2, "min": 1, "max": 2}
 
@@ -65,14 +63,12 @@ class ChoiceLaw:
     values: Any = key(list_of(CONSTANT, "One value.", least=1))
     """The values."""
     weights: Any = key(_WEIGHTS, optional=True)
-    """How likely each value is, relative to the others; left out, all are equally likely."""
+    """Relative likelihood of each value; left out, equal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogNormal:
-    """Log-normal, truncated to [min, max]; a bound that is left out is the bound of the key, where
-    it has one. median and sigma are those before truncation.
-    """
+    """Log-normal, truncated to [min, max]; a bound left out is the key's own."""
 
     EXAMPLE: ClassVar = {"type": "log_normal", "median": 0.3, "sigma": 0.6, "max": 2}
 
@@ -102,8 +98,8 @@ class Exponential:
 
 @dataclass(frozen=True, kw_only=True)
 class PowerLaw:
-    """Power law between two bounds: density in proportion to x to the power -exponent; the number
-    of those larger than x falls with one power less.
+    """Density in proportion to x^-exponent between two bounds; the number above x falls with one
+    power less.
     """
 
     EXAMPLE: ClassVar = {"type": "power_law", "exponent": 2.5, "min": 0.1, "max": 5}
@@ -118,9 +114,8 @@ class PowerLaw:
 
 @dataclass(frozen=True, kw_only=True)
 class GolombekRapp:
-    """Diameters of rocks in meters as on Mars (Golombek and Rapp 1997): the part of the area that
-    rocks of D or more cover is k exp(-q D), with q = 1.79 + 0.152 / k, so their number falls as
-    exp(-q D) / D^2.
+    """Rock diameters in meters as on Mars (Golombek and Rapp 1997): rocks of D or more cover the
+    part k exp(-q D) of the area, q = 1.79 + 0.152 / k, so their number falls as exp(-q D) / D^2.
     """
 
     EXAMPLE: ClassVar = {"type": "golombek_rapp", "k": 0.05, "min": 0.1, "max": 3}
@@ -142,7 +137,7 @@ class Histogram:
     edges: Any = key(list_of(CONSTANT, "One bound.", least=2))
     """Bounds of the intervals, rising."""
     weights: Any = key(_WEIGHTS)
-    """How likely each interval is, relative to the others: one fewer than edges."""
+    """Relative likelihood of each interval: one fewer than edges."""
 
 
 #: By the ``type`` of a distribution; each has ``per`` besides.

@@ -33,8 +33,8 @@ def of_conditions(kind: type[Any]) -> Keys:
     end = f"_{unit}" if unit else ""
     bound = bounded(forms.PER_BATCH, unit=unit or None)
     return _optional(**{
-        f"min{end}": bound.but(description="Smallest; left out, no bound."),
-        f"max{end}": bound.but(description="Largest; left out, no bound."),
+        f"min{end}": bound.but(description="Smallest."),
+        f"max{end}": bound.but(description="Largest."),
         f"softness{end}": bounded(bound, at_least=0).but(
             default=0, description="Width over which it fades about a bound."
         ),

@@ -279,8 +279,8 @@ CHOICES = {
     ),
     "depth_camera": KindChoice(
         title="Depth camera",
-        description="How the sensor measures depth, for the output depth_measured. The output "
-        "depth stays exact.",
+        description="How the sensor measures depth, for the output depth_measured; depth stays "
+        "exact.",
         of="Way of measuring.",
         each="Kind.",
         prefix="",
@@ -295,8 +295,8 @@ CHOICES = {
     ),
     "effect": KindChoice(
         title="Effect",
-        description="What is done to a camera's 8-bit picture after all else, by another package: "
-        "see docs/plugins.md.",
+        description="What another package does to a camera's 8-bit picture last: see "
+        "docs/plugins.md.",
         of="Name that a package offers it under.",
         group="scenec.effects",
         kinds={},
@@ -309,8 +309,8 @@ CHOICES = {
     ),
     "ground_where": KindChoice(
         title="Ground: where",
-        description="One condition on where a layer lies. Its border runs along the bound; the "
-        "color fades over the softness about it.",
+        description="Where a layer lies. Its border runs along the bound; the color fades over "
+        "the softness.",
         **_CONDITIONS,
         kinds=_PLACES,
     ),
@@ -323,9 +323,8 @@ CHOICES = {
     ),
     "lens": KindChoice(
         title="Lens",
-        description="How the lens bends the picture. The parameters are OpenCV's, so that its "
-        "calibrations can be pasted; but the center of the top left pixel is (0.5, 0.5), OpenCV's "
-        "(0, 0): its cx and cy are less by a half.",
+        description="How the lens bends the picture. Parameters are OpenCV's, but the center of "
+        "the top left pixel is (0.5, 0.5): add 0.5 to OpenCV's cx and cy.",
         of="Kind of lens.",
         kinds=_of("lens"),
         keywords={"x-whole": True},
@@ -393,8 +392,8 @@ CHOICES = {
     ),
     "relief_mask": KindChoice(
         title="Relief mask",
-        description="One condition on where an operator acts; several multiply. A masked operator "
-        "is a blend of before and after, so it conserves nothing.",
+        description="Where an operator acts; several conditions multiply. A masked operator "
+        "blends before and after, so it conserves nothing.",
         **_CONDITIONS,
         kinds={**_PLACES, "material": "relief_mask_material"},
     ),
@@ -424,7 +423,8 @@ CHOICES = {
     "surface": KindChoice(
         title="Surface",
         description="Pictures of color, roughness and normals that the compiler makes, without "
-        "seams; base_color and roughness of the material are their means.",
+        "seams; their means are the material's base_color and roughness. grain_m is at most a "
+        "quarter of size_m; what is finer than pixels fades.",
         of="Kind of surface.",
         group="scenec.surfaces",
         shared="of_surfaces",

@@ -33,10 +33,8 @@ SUNS: dict[str, JsonObject] = {
 
 @dataclass(frozen=True, kw_only=True)
 class AtmosphereSky(Sky):
-    """The sky of a planet, by scattering in its air.
-
-    Where the sun stands and what it gives above the atmosphere is said in light.sun; what of
-    its light comes through is computed.
+    """A planet's sky, by scattering in its air. light.sun gives direction and irradiance above the
+    atmosphere; what comes through is computed.
     """
 
     EXAMPLE: ClassVar = {
@@ -50,15 +48,14 @@ class AtmosphereSky(Sky):
     planet: Literal["earth", "mars", "moon"] = key(forms.CHOICE, default="earth")
     """Whose: "moon" has no air, so its sky is black."""
     scattering: Literal["single", "multiple"] = key(forms.CHOICE, default="single")
-    """How often light is scattered. "single" is Nishita's sky: exact for what is scattered once.
-    "multiple" adds all further orders by an approximation, without which thick air and dust are too
-    dark, black where the sun is low."""
+    """single: Nishita's sky, exact for light scattered once. multiple: approximates all further
+    orders, without which thick air and dust are too dark, black at low sun."""
     air_density: Array = key(forms.PER_SAMPLE, default=1, at_least=0, at_most=10)
     """Factor on the gas."""
     dust_density: Array = key(forms.PER_SAMPLE, default=1, at_least=0, at_most=10)
-    """Factor on dust and haze. 1 is clear air on Earth, and an optical depth of 0.5 on Mars."""
+    """Factor on dust and haze: 1 is clear air on Earth, optical depth 0.5 on Mars."""
     ozone_density: Array = key(forms.PER_SAMPLE, default=1, at_least=0, at_most=10)
-    """Factor on Earth's ozone; 1 is 300 Dobson units. Mars has too little to be seen."""
+    """Factor on Earth's ozone; 1 is 300 Dobson units."""
     altitude_m: Array = key(forms.LENGTH_PER_SAMPLE, default=0, at_least=0, at_most=60_000)
     """Height of the scene above the planet's mean level."""
     ground_color: Array = key(forms.GROUND_COLOR)

@@ -63,8 +63,8 @@ _OFFSET_M = list_of(
     count=2,
 ).but(
     default=[0, 0],
-    description="Where the pattern is moved: to the east, to the north. If it is drawn for each "
-    "sample, each has other clouds.",
+    description="Shift of the pattern, to the east and to the north. Drawn for each sample, it "
+    "gives each other clouds.",
 )
 
 
@@ -88,7 +88,7 @@ class CumulusClouds:
     thickness_m: Array = key(forms.LENGTH_PER_SAMPLE, default=900, at_least=10, at_most=10_000)
     """Height of the tallest cloud over the base."""
     size_m: float = key(forms.LENGTH_PER_BATCH, default=1800, at_least=10, at_most=100_000)
-    """Width of a cloud and the gap beside it; groups of clouds are three times as wide."""
+    """Width of a cloud and its gap; groups are three times as wide."""
     offset_m: Array = key(_OFFSET_M)
     key: int = noise_key()
 
@@ -108,8 +108,7 @@ class CirrusClouds:
     coverage: Array = key(forms.FRACTION_PER_SAMPLE, default=0.5)
     """Share of the sky, straight down, that has any."""
     optical_depth: Array = key(forms.PER_SAMPLE, default=0.5, at_least=0, at_most=10)
-    """Where it is thickest, straight down: 0.03 can hardly be seen, 0.3 is usual, 3 veils the sun.
-    """
+    """Where thickest, straight down: 0.03 is hardly visible, 0.3 usual, 3 veils the sun."""
     height_m: Array = key(forms.LENGTH_PER_SAMPLE, default=9000, at_least=1000, at_most=20_000)
     """Over the world's z = 0."""
     size_m: float = key(forms.LENGTH_PER_BATCH, default=4000, at_least=100, at_most=100_000)
@@ -122,9 +121,8 @@ class CirrusClouds:
 
 @dataclass(frozen=True, kw_only=True)
 class Clouds:
-    """Clouds in a sky of the type atmosphere (Earth's) or clear, drawn into its picture as they are
-    seen from the middle of the ground. The sun loses, at each sample, what the clouds before it
-    hide; shadows of cumulus lie on the land where they fall.
+    """Clouds in an atmosphere (Earth's) or clear sky, drawn as seen from the middle of the ground.
+    Each sample's sun loses what the clouds before it hide; cumulus casts shadows on the land.
     """
 
     EXAMPLE: ClassVar = {"cumulus": {"coverage": 0.4}, "cirrus": {"optical_depth": 0.2}}
@@ -135,8 +133,8 @@ class Clouds:
     cirrus: CirrusClouds | None = key(an("clouds_cirrus", drawn=True), default=None)
     """Cirrus; null for none."""
     resolution: int = key(forms.COUNT, default=768, at_least=8, at_most=8192, unit="px")
-    """Height of the sky's lat-long picture with clouds, in pixels; its width is twice that. One
-    that light.sky makes larger keeps its own."""
+    """Height in pixels of the lat-long picture with clouds, half its width. A larger one of
+    light.sky is kept."""
     more: tuple[Any, ...] = key(list_of(an("clouds_layer"), "One layer."), sparse=True)
     """Layers of other packages, the farthest first, behind cumulus and cirrus."""
 

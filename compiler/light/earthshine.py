@@ -29,12 +29,9 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class Earthshine:
-    """The Earth as it shines on the Moon.
-
-    Its irradiance is (6371 km / 384400 km)² times geometric albedo, solar irradiance and (sin a
-    + (pi - a) cos a) / pi, a Lambert sphere's phase law in the phase angle a: 0.137 W/m² of a
-    full Earth by default, 1e-4 of the Sun's. The light comes from a full disc of the Earth's
-    size, whatever the phase.
+    """The Earth as it shines on the Moon: (6371 km / 384400 km)² times geometric albedo, solar
+    irradiance and (sin a + (pi - a) cos a) / pi, a Lambert sphere's phase law. By default 0.137
+    W/m² at full Earth. The light comes from a full disc at any phase.
     """
 
     EXAMPLE: ClassVar = {
@@ -45,25 +42,22 @@ class Earthshine:
     }
 
     phase_deg: Number = key(forms.ANGLE_PER_SAMPLE, default=0, at_least=0, at_most=180)
-    """Phase angle: that between the Sun and the Moon, seen from the Earth. 0 is a full Earth, 90
-    half of one, 180 a dark one."""
+    """Angle between Sun and Moon seen from the Earth: 0 is a full Earth, 90 half, 180 dark."""
     elevation_deg: Any = key(forms.SUN_ELEVATION_DEG)
     azimuth_deg: Number = key(forms.TURN_PER_SAMPLE, default=135)
     """Compass bearing of the Earth, clockwise from +Y (north)."""
     solar_irradiance: Number = key(
         forms.PER_SAMPLE, default=1361, above=0, at_most=1_000_000_000_000, unit="W/m²"
     )
-    """What the Sun gives the Earth on a surface that faces it; in the units of the sun's
-    irradiance."""
+    """Of the Sun on a facing surface, in the units of the sun's irradiance."""
     geometric_albedo: Number = key(forms.PER_SAMPLE, default=0.367, above=0, at_most=1)
-    """The Earth's: 0.367 for visible light (Cox 2000). Of all solar light it is about 0.22, which
-    with as much thermal infrared, that no camera sees, makes the 0.15 W/m² of Glenar et al. (2019).
-    """
+    """The Earth's: 0.367 in visible light (Cox 2000), about 0.22 over all sunlight. With as much
+    thermal infrared, the latter makes the 0.15 W/m² of Glenar et al. (2019)."""
     diameter_deg: Number = key(forms.ANGLE_PER_SAMPLE, default=1.9, at_least=0, at_most=90)
     """Angular diameter."""
     color: Any = key(forms.COLOR, default=[0.63, 0.74, 1])
-    """Color, scaled so that the irradiance is as said; not black. Bluish by default: the Earth's
-    B-V is 0.2, the Sun's 0.65 (Cox 2000)."""
+    """Color, scaled so that the irradiance is as said; not black. Bluish by default: B-V of the
+    Earth is 0.2, of the Sun 0.65 (Cox 2000)."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -24,15 +24,10 @@ def _rgb(most: float, unit: str | None = None, what: str = "Linear") -> Form:
 
 @dataclass(frozen=True, kw_only=True)
 class HazeLayer:
-    """A layer of air that scatters.
-
-    Light of surfaces and of the sky is weakened on its way to the camera by exp(-optical
-    depth), and the light of suns and sky that the layer scatters toward the camera, the
-    airlight, is added. Surfaces receive suns weakened and their sky brightened by as much as
-    the layer does at their height, so shadows soften. Said once for all renderers, from exact
-    depth. What a sky's picture shows below the horizon is taken as ground at the height of the
-    scene's lowest point. Haze throws no shadows, none fall into it, and lamps make no beams in
-    it.
+    """A layer of air that scatters. Light is weakened on its way to the camera by exp(-optical
+    depth), and airlight, what the layer scatters of suns and sky, is added. Surfaces get a weaker
+    sun and a brighter sky, so shadows soften. A sky picture below the horizon counts as ground at
+    the scene's lowest height. Haze casts and shows no shadows and no beams of lamps.
     """
 
     EXAMPLE: ClassVar = {
@@ -46,31 +41,30 @@ class HazeLayer:
     visibility_m: Number | None = key(
         forms.LENGTH_PER_SAMPLE, optional=True, at_least=0.001, at_most=1_000_000_000_000
     )
-    """Distance at which 2 % of a black thing's contrast to the horizon are left (Koschmieder 1924):
-    the extinction of luminance is 3.912 / visibility."""
+    """Distance at which a black thing keeps 2 % of its contrast to the horizon (Koschmieder 1924):
+    extinction is 3.912 / visibility."""
     color: Any = key(_rgb(1000), default=[1, 1, 1])
     """Extinction by color, relative: more blue, as of small droplets, turns dark hills blue and
-    bright snow yellow. Scaled so that the extinction of luminance is as said."""
+    bright snow yellow. Its luminance is that of visibility_m."""
     extinction_per_m: Any | None = key(_rgb(1_000_000, "1/m"), optional=True)
     """Extinction itself, in place of visibility_m and color."""
     scale_height_m: Number = key(
         forms.LENGTH_PER_SAMPLE, default=1000, at_least=0.001, at_most=1_000_000_000
     )
-    """Height over which it thins out by a factor e, from the world's z = 0, where it is as said:
-    some meters for morning fog on meadows, 1 km for haze over land, 11 km for dust on Mars.
-    Straight up, its optical depth is the extinction at z = 0 times this."""
+    """Height over which it thins by a factor e, from z = 0 up: meters for morning fog, 1 km for
+    haze over land, 11 km for dust on Mars. The vertical optical depth is this times the extinction
+    at z = 0."""
     asymmetry: Number = key(forms.PER_SAMPLE, default=0.7, at_least=-0.9, at_most=0.9)
-    """g of the phase function (Henyey and Greenstein 1941), the mean cosine of the angle by which
-    light is turned: 0 in all directions alike, 0.65 dust, 0.7 haze, 0.85 fog, whose droplets glow
-    around the sun."""
+    """g of the phase function (Henyey and Greenstein 1941), the mean cosine of scattering: 0 is
+    even, 0.65 dust, 0.7 haze, 0.85 fog, which glows around the sun."""
     albedo: Any = key(_rgb(1), default=[1, 1, 1])
-    """Part of the light it meets that it scatters and does not absorb, by color: 1 water, [0.97,
-    0.92, 0.78] dust on Mars."""
+    """Part of the light that it scatters, not absorbs, by color: 1 water, [0.97, 0.92, 0.78] dust
+    on Mars."""
     airlight: Any = key(
         word_or("sky", _rgb(1_000_000_000, "W/(m² sr)", "Radiance, linear")), default="sky"
     )
-    """Radiance that endless haze shows. "sky": what haze scatters of suns and sky. Or, in all
-    directions, linear Rec.709 radiance, [red, green, blue] in W/(m² sr)."""
+    """Radiance of endless haze. "sky": what haze scatters of suns and sky. Or, in all directions,
+    linear Rec.709 radiance, [red, green, blue] in W/(m² sr)."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -22,7 +22,7 @@ _COORDINATE = bounded(forms.LENGTH_PER_SAMPLE, at_least=-1_000_000_000, at_most=
 
 @dataclass(frozen=True, kw_only=True)
 class RigMount:
-    """On a rig, with which it moves; without a rotation it shines ahead, along the rig's z axis."""
+    """On a rig, moving with it; unturned it shines ahead, along the rig's z axis."""
 
     EXAMPLE: ClassVar = {"type": "rig", "rig": "rover", "position_m": [0.2, 0, 0]}
 
@@ -79,9 +79,9 @@ class WorldMount(LampTarget):
     heights: Literal["ground", "world"] = key(forms.CHOICE, default="ground")
     """What heights are over: the ground below, or the world's zero."""
     bearing_deg: Array = key(forms.TURN_PER_SAMPLE, default=0)
-    """Compass bearing that it shines to, clockwise from +Y (north). Not with a target."""
+    """Compass bearing it shines to, clockwise from +Y (north). Not with target."""
     elevation_deg: Array = key(forms.ANGLE_PER_SAMPLE, default=-90, at_least=-90, at_most=90)
-    """Angle above the horizon that it shines to. Not with a target."""
+    """Angle above the horizon it shines to. Not with target."""
     target: LampTarget | None = key(an("light_target", drawn=True), optional=True)
     """A place that it shines to."""
 
@@ -107,11 +107,9 @@ class WorldMount(LampTarget):
 
 @dataclass(frozen=True, kw_only=True)
 class SpotLamp:
-    """A spot light: a sphere that shines into a cone.
-
-    At an angle t from its axis its intensity is intensity · (1 - smoothstep(t)) between
-    cone_deg · (1 - softness) and cone_deg, smoothstep(x) = 3x² - 2x³. Cameras do not see the
-    lamp itself.
+    """A spot light: a sphere that shines into a cone, itself unseen by cameras. Its intensity falls
+    by 1 - smoothstep, smoothstep(x) = 3x² - 2x³, between the angles cone_deg · (1 - softness) and
+    cone_deg.
     """
 
     EXAMPLE: ClassVar = {
@@ -125,8 +123,8 @@ class SpotLamp:
     mount: JsonObject = key(an("light_mount"))
     """Where it is and where it shines."""
     intensity: Number = key(forms.PER_SAMPLE, at_least=0, at_most=1_000_000_000_000, unit="W/sr")
-    """On the axis, far away. An LED of F lumens that shines evenly into a cone of half angle a has
-    about F / (300 · 2 pi (1 - cos a))."""
+    """On the axis, far away. An LED of F lumens over an even cone of half angle a has about F /
+    (300 · 2 pi (1 - cos a))."""
     color: Any = key(forms.COLOR, default=[1, 0.95, 0.88])
     """Color, scaled so that the intensity is as said; not black."""
     radius_m: Number = key(forms.LENGTH_PER_SAMPLE, default=0.03, at_least=0, at_most=1000)

@@ -28,10 +28,9 @@ NIL = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class OvercastSky(Sky):
-    """A sky behind one even layer of cloud: the CIE's standard overcast sky, three times as bright
-    overhead as at the horizon, all around alike. light.sun is the sun above the cloud; what comes
-    through of it makes the sky as bright as it is, and its beam is gone but behind thin cloud under
-    a high sun.
+    """The CIE's standard overcast sky, three times as bright overhead as at the horizon. light.sun
+    is the sun above the cloud; what comes through sets the brightness. The beam is gone, but behind
+    thin cloud under a high sun.
     """
 
     EXAMPLE: ClassVar = {
@@ -40,12 +39,11 @@ class OvercastSky(Sky):
     }
 
     optical_depth: Array = key(forms.PER_SAMPLE, default=40, at_least=5, at_most=1000)
-    """Of the cloud, straight down: 10 is bright, 40 usual, 100 the cloud of a thunderstorm."""
+    """Straight down: 10 is bright, 40 usual, 100 a thunderstorm."""
     irradiance: Array | None = key(
         forms.PER_SAMPLE, optional=True, above=0, at_most=1_000_000_000_000, unit="W/m²"
     )
-    """Diffuse irradiance on a horizontal surface, in place of what the cloud lets through of
-    light.sun."""
+    """Diffuse irradiance on a horizontal surface, in place of what the cloud lets through."""
     color: Array = key(forms.COLOR, default=[0.92, 0.96, 1])
     """Color of the sky, relative. Not black."""
     ground_color: Array = key(forms.GROUND_COLOR)

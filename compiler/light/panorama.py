@@ -31,7 +31,7 @@ class LabelMap:
 
     TITLE: ClassVar = "Label map of a panorama"
     file: Path = key(file("label_map"))
-    """A PNG file: gray of up to 16 bits, with a palette, or RGB. Row 0 is the zenith."""
+    """A PNG: gray of up to 16 bits, palette, or RGB. Row 0 is the zenith."""
     values: Any = key(
         Form(
             {
@@ -45,8 +45,8 @@ class LabelMap:
             }
         )
     )
-    """The label of each pixel value: a whole number as it is stored (gray, or the index in the
-    palette), or "#RRGGBB"; null: no label. All values of the picture must be here."""
+    """Label of each pixel value: a whole number as stored (gray, or palette index), or "#RRGGBB";
+    null: no label. All values must be here."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -107,25 +107,22 @@ class ImageSky(Sky):
     files: tuple[Any, ...] = key(
         list_of(
             file("image"),
-            'An OpenEXR file: relative to the cfg, or "package:NAME/path" in an installed Python '
-            "package, where * stands for any part of a name.",
+            'An OpenEXR file, relative to the cfg, or "package:NAME/path".',
             least=1,
         )
     )
     """Pictures, one of which is used in each sample."""
     pick: Literal["in_turn", "random", "shuffled"] = key(forms.CHOICE, default="in_turn")
-    """Which picture a sample gets: the next one, any, or any of those that were not shown yet,
-    until all of the list were; then it begins anew in another order. Samples are counted on over
-    batches."""
+    """Picture of a sample: the next, any, or any not yet shown, until all were; then anew in
+    another order. Counted on over batches."""
     strength: Array = key(forms.PER_SAMPLE, default=1, above=0, at_most=1_000_000_000)
     """Factor on the picture's radiance."""
     rotation_deg: Array = key(forms.TURN_PER_SAMPLE, default=0)
-    """Turn about the vertical, clockwise seen from above, as compass bearings grow."""
+    """Turn about the vertical, clockwise from above."""
     sun: Literal["keep", "extract"] = key(forms.CHOICE, default="keep")
-    """keep: the sun stays in the picture. extract: it is taken out of it and becomes a disc with
-    the same irradiance, color and direction, so that its shadows do not depend on the picture's
-    resolution; light.sun must be left out or null then. A picture in which no sun is found
-    (overcast, indoors) stays as it is, which the report says."""
+    """keep: the sun stays in the picture. extract: it becomes a disc of the same irradiance, color
+    and direction, for sharp shadows; light.sun must then be left out or null. Where no sun is
+    found, the picture stays, and the report says so."""
     labels: JsonObject = key(forms.SKY_LABELS)
     labels_below: JsonObject = key(
         forms.SKY_LABELS_BELOW.but(
@@ -136,9 +133,8 @@ class ImageSky(Sky):
     label_maps: Any | None = key(
         list_of(an("sky_label_maps"), "Those of one picture.", least=1), optional=True
     )
-    """What is seen where on the pictures: one entry for each of files, in their order; null: all of
-    that picture has the sky's label. Lat-long like the pictures, of any resolution, looked up at
-    the nearest texel."""
+    """What is where on the pictures, one entry for each of files in order, lat-long, any
+    resolution, nearest texel. null: all of it has the sky's label."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

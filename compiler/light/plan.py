@@ -40,12 +40,12 @@ class Lights:
     more: JsonObject = key(named(an("light_more"), "One disc.", by="disc"), default={})
     """Further distant discs by name: earthshine, a second sun."""
     lamps: JsonObject = key(named(an("light_lamp"), "One lamp.", by="lamp"), default={})
-    """Spot lights by name. Metered exposures count their light where they fall on what the middle
-    of a picture shows."""
+    """Spot lights by name. Metered exposures count their light where the middle of a picture shows
+    it."""
     clouds: JsonObject | None = key(an("light_clouds"), sparse=True)
     """Clouds in the sky, which shade the scene; left out: none."""
     haze: JsonObject | None = key(an("light_haze"), optional=True)
-    """Dust or mist between the cameras and what they see; left out or null: none."""
+    """Dust or mist before the cameras; left out or null: none."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 ROWS = bounded(forms.COUNT, at_least=8, at_most=4096, unit="px").but(
     default=128,
-    description="Height of the lat-long picture that is made, in pixels; its width is twice that.",
+    description="Height of the lat-long picture in pixels, half its width.",
 )
 
 

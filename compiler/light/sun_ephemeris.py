@@ -31,9 +31,8 @@ _TIME = f"a time in UTC of the years {YEARS[0]} to {YEARS[1]}, such as 2027-10-1
 
 @dataclass(frozen=True, kw_only=True)
 class SunEphemeris:
-    """The Sun as it stands at a place and a time, computed within 0.03°; without refraction.
-
-    Its angular diameter follows from its distance. Each sample is step_s later than the one before.
+    """The Sun at a place and a time, within 0.03°, without refraction; its diameter follows from
+    its distance. Each sample is step_s later.
     """
 
     EXAMPLE: ClassVar = {
@@ -48,8 +47,7 @@ class SunEphemeris:
     body: Literal["moon", "mars", "earth"] = key(forms.CHOICE)
     """On which the scene lies."""
     time_utc: str = key(forms.TEXT)
-    """Time of the first sample in UTC, as ISO 8601 writes it: 2027-10-15T06:00:00Z. Years from 1900
-    to 2100."""
+    """UTC of the first sample, ISO 8601: 2027-10-15T06:00:00Z. Years 1900 to 2100."""
     step_s: float = key(
         forms.CONSTANT, default=0, at_least=-1_000_000_000, at_most=1_000_000_000, unit="s"
     )
@@ -57,29 +55,27 @@ class SunEphemeris:
     offset_s: Number = key(
         forms.PER_SAMPLE, default=0, at_least=-1_000_000_000, at_most=1_000_000_000, unit="s"
     )
-    """Added to the time: a distribution draws other hours for each batch or sample."""
+    """Added to the time; a distribution draws other hours."""
     latitude_deg: Number | None = key(
         forms.ANGLE_PER_SAMPLE, optional=True, at_least=-90, at_most=90
     )
-    """Latitude of the scene, of the vertical (geodetic, planetographic), north positive. Left out,
-    with longitude_deg: that of the terrain's DEM."""
+    """Geodetic (planetographic) latitude of the scene, north positive. Left out with longitude_deg:
+    the DEM's."""
     longitude_deg: Number | None = key(
         forms.ANGLE_PER_SAMPLE, optional=True, at_least=-360, at_most=360
     )
-    """Longitude of the scene, east positive. Where latitude and longitude are given, +Y is
-    north; at a pole, north is the way along this meridian."""
+    """Longitude, east positive. With it +Y is north; at a pole, north is along this meridian."""
     irradiance: Number | None = key(
         bounded(forms.PER_SAMPLE, above=0, at_most=1_000_000_000_000, unit="W/m²"), optional=True
     )
-    """On a surface that faces the sun; with a sky of the type atmosphere, above the atmosphere;
-    with an overcast one, above the cloud. Left out: 1361 W/m² over the square of the distance in
-    au, which no air weakens but that of an atmosphere."""
+    """On a surface facing the sun; above the atmosphere or the overcast cloud where there is one.
+    Left out: 1361 W/m² over the squared distance in au."""
     color: Any = key(forms.COLOR, default=[1, 0.94, 0.86])
-    """Color, scaled so that the irradiance is as said; not black. With a sky of the type
-    atmosphere, a factor on the color of sunlight: if left out, none."""
+    """Color, scaled so that the irradiance is as said; not black. With an atmosphere sky, a factor
+    on sunlight, left out none."""
     earthshine: bool = key(forms.TRUTH, default=False)
-    """Whether the Earth shines on the Moon, too, from where it stands and in its phase: a
-    further disc of the name Earth, by the law and with the defaults of light.more's earthshine."""
+    """Whether the Earth shines on the Moon, too, from its true direction and phase: a further disc
+    named Earth, as light.more's earthshine."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

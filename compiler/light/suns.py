@@ -74,16 +74,16 @@ class SunKeys:
     irradiance: Number = key(
         forms.PER_SAMPLE, default=1000, above=0, at_most=1_000_000_000_000, unit="W/m²"
     )
-    """On a surface that faces the sun. With a sky of the type atmosphere: above the atmosphere, and
-    if left out 1361 (Earth, Moon) or 590 (Mars). With an overcast one: above the cloud."""
+    """On a surface facing the sun. With an atmosphere sky, above the atmosphere, left out 1361
+    (Earth, Moon) or 590 (Mars); with an overcast one, above the cloud."""
     elevation_deg: Any = key(forms.SUN_ELEVATION_DEG)
     azimuth_deg: Number = key(forms.TURN_PER_SAMPLE, default=135)
     """Compass bearing of the sun, clockwise from +Y (north)."""
     diameter_deg: Number = key(forms.ANGLE_PER_SAMPLE, default=0.53, at_least=0, at_most=90)
-    """Angular diameter. With a sky of the type atmosphere on Mars: if left out, 0.35."""
+    """Angular diameter; with Mars's atmosphere, left out, 0.35."""
     color: Any = key(forms.COLOR, default=[1, 0.94, 0.86])
-    """Color, scaled so that the irradiance is as said; not black. With a sky of the type
-    atmosphere, a factor on the color of sunlight: if left out, none."""
+    """Color, scaled so that the irradiance is as said; not black. With an atmosphere sky, a factor
+    on sunlight, left out none."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

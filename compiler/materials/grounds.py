@@ -26,7 +26,7 @@ class Sand(Surface):
     EXAMPLE: ClassVar = {"type": "sand", "ripple_m": 0.08}
 
     grain_m: float = key(GRAIN_M, default=0.0015)
-    """Width of a grain. A quarter of size_m at most; what is finer than the pixels fades."""
+    """Width of a grain."""
     ripple_m: float = key(forms.LENGTH_PER_BATCH, default=0.09, at_least=0, at_most=1_000_000)
     """Wavelength of the ripples; 0: none."""
 
@@ -66,8 +66,7 @@ class Gravel(Surface):
     EXAMPLE: ClassVar = {"type": "gravel", "displacement": True}
 
     grain_m: float = key(GRAIN_M, default=0.03)
-    """Width of a stone of middle size. A quarter of size_m at most; what is finer than the pixels
-    fades."""
+    """Width of a middle-sized stone."""
 
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.4
@@ -110,7 +109,7 @@ class MudCracks(Surface):
     TITLE: ClassVar = "Surface: mud_cracks"
 
     grain_m: float = key(GRAIN_M, default=0.2)
-    """Width of a polygon. A quarter of size_m at most; what is finer than the pixels fades."""
+    """Width of a polygon."""
     gape: float = key(forms.FRACTION_PER_BATCH, default=0.06)
     """Width of the cracks, in widths of a polygon."""
 
@@ -150,8 +149,7 @@ class Regolith(Surface):
     EXAMPLE: ClassVar = {"type": "regolith"}
 
     grain_m: float = key(GRAIN_M, default=0.04)
-    """Size of what is of middle size: the largest craters are three times as wide, the smallest
-    fragments a tenth. A quarter of size_m at most; what is finer than the pixels fades."""
+    """Middle size: the largest craters are three times as wide, the smallest fragments a tenth."""
     craters: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """Share of the places for small craters that have one."""
     stones: float = key(forms.FRACTION_PER_BATCH, default=0.6)
@@ -198,10 +196,9 @@ class Soil(Surface):
     EXAMPLE: ClassVar = {"type": "soil", "litter": 0.3}
 
     grain_m: float = key(GRAIN_M, default=0.02)
-    """Width of a clod of middle size. A quarter of size_m at most; what is finer than the pixels
-    fades."""
+    """Width of a middle-sized clod."""
     litter: float = key(forms.FRACTION_PER_BATCH, default=0.3)
-    """Share of the places for bits of plants that have one."""
+    """Share of places for bits of plants that have one."""
 
     SIZE_M: ClassVar[float] = 1.5
     RELIEF: ClassVar[float] = 0.25
@@ -240,19 +237,18 @@ class Soil(Surface):
 
 @dataclass(frozen=True)
 class Pavement(Surface):
-    """A lag of stones: fines with granules and pebbles of all sizes, crowded here and rare there,
-    as many stones an octave of size as rocks have in nature (N(>D) ~ D^-2).
+    """A lag of stones: fines with granules and pebbles of all sizes, in patches, N(>D) ~ D^-2 as
+    rocks in nature.
     """
 
     EXAMPLE: ClassVar = {"type": "pavement", "grain_m": 0.04, "darkness": 0.6}
 
     grain_m: float = key(GRAIN_M, default=0.03)
-    """Width of what is of middle size: the largest stones are four times as wide, the smallest
-    granules a tenth. A quarter of size_m at most; what is finer than the pixels fades."""
+    """Middle size: the largest stones are four times as wide, the smallest granules a tenth."""
     stones: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """Share of the places for stones that have one, on average."""
     darkness: float = key(forms.FRACTION_PER_BATCH, default=0.5)
-    """How much darker than the fines stones are: 0 not at all, 1 black."""
+    """How much darker stones are than fines: 1 is black."""
 
     SIZE_M: ClassVar[float] = 2.0
     RELIEF: ClassVar[float] = 1.0

@@ -29,21 +29,21 @@ _FILES = (
 
 @dataclass(frozen=True, kw_only=True)
 class CellsKeys:
-    """Pictures laid in cells of a square lattice, each turned and shifted by chance and blended
-    into the next, so that they do not repeat.
+    """Lays pictures in a square lattice of cells, each randomly turned and shifted and blended into
+    the next, so that they do not repeat.
     """
 
     EXAMPLE: ClassVar = {"size_m": 1.5}
 
     size_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
-    """Side of the lattice; left out, size_m of the maps, so that hardly a cell shows one place of
-    the picture twice. Larger cells keep larger forms whole."""
+    """Side of the lattice; left out, size_m of the maps, so that hardly a cell repeats a place.
+    Larger cells keep larger forms whole."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FarKeys:
-    """The picture of colors once more, larger: colors c become c (1 + share (c_far / mean - 1)), so
-    that they vary over several scales.
+    """Adds the picture of colors once more, larger: c becomes c (1 + share (c_far / mean - 1)), so
+    that colors vary over several scales.
     """
 
     EXAMPLE: ClassVar = {"factor": 7, "share": 0.5}
@@ -56,34 +56,29 @@ class FarKeys:
 
 @dataclass(frozen=True, kw_only=True)
 class MapsKeys:
-    """Pictures that vary a surface, laid over it in the world or by a mesh's texture coordinates:
-    made by the compiler (procedural), or from files: PNG, JPEG, TIFF (8 bits, or 16 bits gray) or
-    OpenEXR, relative to the cfg, or "package:NAME/path" in an installed Python package, where *
-    stands for any part of a name.
+    """Pictures that vary a surface, projected in the world or by a mesh's texture coordinates:
+    procedural, or from PNG, JPEG, TIFF (8 bits, or 16 bits gray) or OpenEXR files, relative to the
+    cfg, or "package:NAME/path".
     """
 
     EXAMPLE: ClassVar = {"folder": "textures/gravel", "size_m": 1.2, "cells": {}}
 
     projection: Literal["above", "triplanar", "uv"] | None = key(forms.CHOICE, optional=True)
-    """Where the pictures lie: along the vertical (above), along the world's three axes, mixed by
-    the surface's normal (triplanar), or by the texture coordinates of a mesh from a file (uv). Left
-    out: triplanar for a material that objects have, else above."""
+    """above: along the vertical; triplanar: along the world's three axes, mixed by the normal; uv:
+    by a mesh's texture coordinates. Left out: triplanar for a material of objects, else above."""
     size_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
-    """Side of one repeat, of above and triplanar; required, but of procedural pictures, whose kinds
-    have their own."""
+    """Side of one repeat, of above and triplanar; required of files."""
     folder: Path | None = key(file("texture_set"), optional=True)
-    """A folder with a set of pictures, relative to the cfg or "package:NAME/path": which is what,
-    its files' names say, as ambientCG, Poly Haven, cgbookcase, 3dtextures, Quixel, textures.com and
-    OAISYS name theirs (Color, diff, albedo; rough, gloss; nor_gl, NormalDX; AO, disp, height,
-    metal, arm, emission ...). A key beside it takes the place of the file in it. What in it is not
-    understood is reported."""
+    """Folder of pictures, relative to the cfg or "package:NAME/path", told apart by their names as
+    ambientCG, Poly Haven, cgbookcase, 3dtextures, Quixel, textures.com and OAISYS have them (Color,
+    diff, albedo; rough, gloss; nor_gl, NormalDX; AO, disp, height, metal, arm, emission ...). A key
+    beside it replaces its file. What is not understood is reported."""
     resolution: Literal["seen", "as_is"] = key(forms.CHOICE, default="seen")
-    """seen: a picture that has more texels than pixels wherever a camera of the batch sees it is
-    made smaller, by powers of two; one that no camera sees becomes its mean. as_is: files stay as
-    they are."""
+    """seen: pictures with more texels than any camera has pixels for are halved until they fit;
+    unseen ones become their mean. as_is: files stay as they are."""
     procedural: JsonObject | None = key(an("surface"), optional=True)
-    """Pictures that the compiler makes, another pattern in each batch. A file beside it takes the
-    place of one of them. Not with the projection uv."""
+    """Pictures that the compiler makes, another pattern in each batch. A file beside it replaces
+    one of them. Not with projection uv."""
     base_color: Path | None = key(file("map"), optional=True)
     """Albedo: sRGB, or linear Rec.709 in OpenEXR."""
     roughness: Path | None = key(file("map"), optional=True)
@@ -93,41 +88,38 @@ class MapsKeys:
     metallic: Path | None = key(file("map"), optional=True)
     """Metallic part, raw, in place of the number."""
     packed: Path | None = key(file("map"), optional=True)
-    """Ambient occlusion, roughness and metallic part in one picture's red, green and blue, raw, as
-    packed_order says. Of these, what a key of its own names is not taken from it."""
+    """Occlusion, roughness and metallic part in one picture's channels, raw, in the order
+    packed_order. A key of its own for one of them wins."""
     packed_order: Literal["orm", "omr", "rom", "rmo", "mor", "mro"] = key(
         forms.CHOICE, default="orm"
     )
     """What red, green and blue of packed are: o for occlusion, r for roughness, m for metallic."""
     normal: Path | None = key(file("map"), optional=True)
-    """Normals n = 2 rgb - 1, raw, x to the right in the picture."""
+    """Normals n = 2 rgb - 1, raw, x to the right."""
     normal_convention: Literal["opengl", "directx"] = key(forms.CHOICE, default="opengl")
     """Where the normals' y points: up in the picture (opengl) or down (directx)."""
     ambient_occlusion: Path | None = key(file("map"), optional=True)
-    """What of the sky small hollows see, raw: multiplies the albedo, at compile time."""
+    """Ambient occlusion, raw: multiplies the albedo at compile time."""
     ambient_occlusion_strength: float = key(forms.FRACTION_PER_BATCH, default=1)
-    """How much it does: albedo (1 - strength (1 - picture))."""
+    """Its strength: albedo (1 - strength (1 - picture))."""
     displacement: Path | None = key(file("heights"), optional=True)
-    """Heights, raw, about their mean: become geometry, with displacement_m, where a camera is near
-    enough to see them; and what height_blend of the ground's layers goes by. Of materials of the
-    ground, projected from above."""
+    """Heights, raw, about their mean. With displacement_m they become geometry near cameras;
+    height_blend of ground layers uses them. For materials of the ground, projected from above."""
     displacement_m: float | None = key(
         forms.LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000
     )
-    """Height of white above black in the picture of displacement, the key's or the folder's; left
-    out, it stays flat."""
+    """Height of white above black in the picture of displacement; left out, it stays flat."""
     emission: Path | None = key(file("map"), optional=True)
     """Colors that multiply the material's emission: sRGB, or linear Rec.709 in OpenEXR."""
     opacity: Path | None = key(file("map"), optional=True)
-    """Opacity, raw: where it is below opacity_threshold nothing is there, for annotation and all
-    renderers. With the projection uv."""
+    """Opacity, raw: nothing is there below opacity_threshold, for annotation and all renderers.
+    With projection uv."""
     opacity_threshold: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
     """Least opacity of what is there; left out, 0.5."""
     cells: JsonObject | None = key(an("material_cells"), optional=True)
-    """Keeps pictures that are projected from above from repeating. {} takes the usual size; left
-    out, they repeat."""
+    """Keeps pictures projected from above from repeating; {} takes the usual size."""
     far: JsonObject | None = key(an("material_far"), optional=True)
-    """Varies the colors of pictures that are projected from above over a larger scale, too."""
+    """Varies colors projected from above over a larger scale, too."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

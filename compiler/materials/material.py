@@ -23,8 +23,8 @@ def _color(form: Form) -> Form:
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialKeys:
-    """A surface: (1 - m) ((1 - s) Lambert + s GGX) + m GGX tinted by the color, with m = metallic,
-    s = specular and alpha = roughness squared.
+    """A surface: (1 - m) ((1 - s) Lambert + s GGX) + m GGX tinted by the color; m is metallic, s
+    specular, alpha the roughness squared.
     """
 
     EXAMPLE: ClassVar = {
@@ -37,39 +37,34 @@ class MaterialKeys:
     base_color: tuple[float, float, float] | None = key(
         _color(FRACTION_PER_BATCH).but(x_color=True), optional=True
     )
-    """Albedo in linear Rec.709; required unless maps give a base_color, which it multiplies (left
-    out: 1)."""
+    """Albedo, linear Rec.709; required unless maps give one, which it multiplies (left out: 1)."""
     roughness: float = key(FRACTION_PER_BATCH, default=0.9)
-    """Roughness of the specular part. Its facets light each other: a white metal reflects all light
+    """Roughness of the specular part. Facets light each other, so a white metal reflects all light
     at any roughness."""
     specular: float = key(FRACTION_PER_BATCH, default=0.02)
     """Share of the specular part."""
     metallic: float = key(FRACTION_PER_BATCH, default=0)
     """Share of the metallic part."""
     variation: float = key(FRACTION_PER_BATCH, default=0)
-    """How much the albedo varies from place to place: base_color (1 + variation v) with v in [-1,
-    1]."""
+    """How much the albedo varies by place: base_color (1 + variation v), v in [-1, 1]."""
     roughness_variation: float = key(PER_BATCH, default=0, at_least=-1, at_most=1)
-    """How much the roughness varies from place to place: roughness (1 + roughness_variation v),
-    clipped to [0, 1], a roughness map's value likewise. v is that of variation, so that color and
-    roughness change together, as where ground is damp or trodden; below 0, lighter places are
-    smoother."""
+    """How much the roughness varies: roughness (1 + roughness_variation v), within [0, 1], also of
+    a map's roughness. v is that of variation, so color and roughness change together, as on damp
+    ground; below 0, lighter places are smoother."""
     reflectance: JsonObject | None = key(an("reflectance"), optional=True)
-    """How the dull part scatters light, where it is not Lambert's law; moons and dusty planets do
-    otherwise."""
+    """How the diffuse part scatters, if not by Lambert's law, as on moons and dusty planets."""
     emission: tuple[float, float, float] | None = key(
         _color(bounded(PER_BATCH, at_least=0, at_most=1_000_000_000, unit="W/(m² sr)")),
         optional=True,
     )
     """Radiance that it gives off, linear Rec.709; left out: none."""
     diffuse_transmission: float = key(FRACTION_PER_BATCH, default=0)
-    """For thin sheets such as leaves and cloth: share of the dull part's light that leaves on the
-    far side, of the same color; the rest is reflected."""
+    """For leaves and cloth: share of the diffuse light that leaves on the far side, of the same
+    color; the rest is reflected."""
     maps: MapsKeys | None = key(an("material_maps", drawn=True), optional=True)
     """Pictures that vary the surface."""
     displacement: Any | None = key(list_of(an("displacement"), "One small relief."), optional=True)
-    """Small reliefs of the surface, added up, which become geometry where a camera is near enough
-    to see them; for materials of the ground."""
+    """Small reliefs, added up, that become geometry near cameras; for materials of the ground."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

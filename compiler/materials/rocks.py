@@ -23,7 +23,7 @@ class Granite(Surface):
     EXAMPLE: ClassVar = {"type": "granite", "grain_m": 0.004}
 
     grain_m: float = key(GRAIN_M, default=0.008)
-    """Width of a crystal. A quarter of size_m at most; what is finer than the pixels fades."""
+    """Width of a crystal."""
 
     SIZE_M: ClassVar[float] = 0.6
     RELIEF: ClassVar[float] = 0.09
@@ -61,8 +61,7 @@ class Basalt(Surface):
     EXAMPLE: ClassVar = {"type": "basalt", "vesicles": 0.4}
 
     grain_m: float = key(GRAIN_M, default=0.01)
-    """Width of a bubble of middle size. A quarter of size_m at most; what is finer than the pixels
-    fades."""
+    """Width of a middle-sized bubble."""
     vesicles: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """Share of the places for bubbles that have one."""
 
@@ -98,14 +97,12 @@ class Basalt(Surface):
 
 @dataclass(frozen=True)
 class Sandstone(Surface):
-    """Grains in faint beds, some harder than others, with rusty stains; beds lie level in the
-    projection triplanar.
-    """
+    """Grains in faint beds with rusty stains; level beds with projection triplanar."""
 
     EXAMPLE: ClassVar = {"type": "sandstone", "bed_m": 0.05}
 
     grain_m: float = key(GRAIN_M, default=0.0012)
-    """Width of a grain. A quarter of size_m at most; what is finer than the pixels fades."""
+    """Width of a grain."""
     bedding: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """How much beds differ: 0 not at all."""
     bed_m: float = key(GRAIN_M, default=0.15)
@@ -145,8 +142,7 @@ class Breccia(Surface):
     EXAMPLE: ClassVar = {"type": "breccia"}
 
     grain_m: float = key(GRAIN_M, default=0.05)
-    """Width of a piece of middle size. A quarter of size_m at most; what is finer than the pixels
-    fades."""
+    """Width of a middle-sized piece."""
     clasts: float = key(forms.FRACTION_PER_BATCH, default=1)
     """Share of the places for pieces that have one."""
 
@@ -183,12 +179,12 @@ class Breccia(Surface):
 
 @dataclass(frozen=True)
 class Weathered(Surface):
-    """Any old rock: knobbly and cracked, with dark varnish in patches and dust in the hollows."""
+    """Any old rock: knobbly and cracked, with patches of dark varnish and dust in hollows."""
 
     EXAMPLE: ClassVar = {"type": "weathered", "contrast": 0.6}
 
     grain_m: float = key(GRAIN_M, default=0.05)
-    """Width of a knob. A quarter of size_m at most; what is finer than the pixels fades."""
+    """Width of a knob."""
     cracks: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """How much of its cracks is open."""
 

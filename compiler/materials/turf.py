@@ -22,15 +22,14 @@ _GOLDEN = 0.618034
 
 @dataclass(frozen=True)
 class Turf(Surface):
-    """Tufts of short blades, green and dead, over earth: what grass grows out of, and grass itself
-    where it is far or short.
+    """Tufts of short blades, green and dead, over earth: under grass, or grass itself where far or
+    short.
     """
 
     EXAMPLE: ClassVar = {"type": "turf", "fresh": 0.3}
 
     grain_m: float = key(GRAIN_M, default=0.06)
-    """Width of a tuft of middle size. A quarter of size_m at most; what is finer than the pixels
-    fades."""
+    """Width of a middle-sized tuft."""
     fresh: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """Share of the blades that are green; more and less of them in patches."""
 

@@ -35,9 +35,9 @@ _LEAP = 1e60
 
 @dataclass(frozen=True)
 class Meshing:
-    """Triangles are as large as they can be without an error of tolerance_px showing in any view of
-    the batch: of height, of the lines between labels, and of shading where legs of triangles are
-    longer than six times that. Near a camera they become finer than the grid.
+    """Triangles are as large as no view shows an error above tolerance_px: of height, of label
+    lines, and of shading where legs exceed six times that. Near cameras they are finer than the
+    grid.
     """
 
     EXAMPLE: ClassVar = {"tolerance_px": 0.5, "max_triangles": 2_000_000}
@@ -45,14 +45,13 @@ class Meshing:
     tolerance_px: float | None = key(CONSTANT, default=0.5, at_least=0, at_most=1000, unit="px")
     """Error that may show; 0 keeps every height sample."""
     max_triangles: int = key(COUNT, default=8_000_000, at_least=2, at_most=1_000_000_000)
-    """Budget, before the mesh is cut along label lines; where it binds, the tolerance is raised and
-    the one reached is reported."""
+    """Budget, before cuts along label lines; where it binds, tolerance is raised and reported."""
     unseen: float = key(CONSTANT, default=0.125, at_least=0, at_most=1)
-    """Part that a pixel counts where no view shows the ground, which may still cast shadows and
+    """How much a pixel counts where no view shows the ground, which may still cast shadows and
     light into one."""
     finest_m: float | None = key(CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
-    """Shortest leg of a triangle that is still halved; left out, a 32nd of the terrain's spacing.
-    At spacing_m or above, nothing is finer than the grid."""
+    """Shortest leg of a triangle that is still halved; left out, a 32nd of the spacing. From
+    spacing_m on, nothing is finer than the grid."""
 
     def finest(self, spacing_m: float) -> float:
         """Shortest leg that may be halved, on a grid of a spacing, meters."""

@@ -41,7 +41,7 @@ class Terrain:
     spacing_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
     """Largest distance between neighboring height samples."""
     relief: tuple[Any, ...] = key(list_of(an("relief"), "One relief operator.", least=1))
-    """Operators that shape the terrain, in order; the first must be a base (plane or dem)."""
+    """Operators that shape the terrain, in order, the first a base (plane, dem or mesh)."""
     ground: tuple[Any, ...] = key(
         Form(
             {
@@ -52,17 +52,16 @@ class Terrain:
             }
         )
     )
-    """Layers of material: first the base layer, which has no noise, then later layers. Each of
-    those is merged over what comes before it by noise: colors smoothly, labels sharply."""
+    """Layers of material: the base layer, without noise, then later layers, each merged by noise
+    over those before: colors smoothly, labels sharply."""
     shades: tuple[Any, ...] = key(
         list_of(an("terrain_shade"), "One kind of place.", least=1), sparse=True
     )
-    """Where the ground is darker or lighter by what it is there."""
+    """Where the ground is darker or lighter."""
     mesh: JsonObject = key(an("terrain_mesh"), default={})
     """How fine the mesh is."""
     horizon: JsonObject = key(an("terrain_horizon"), sparse=True)
-    """Land beyond the terrain's border: hills, crater rims, mesas. Left out, the terrain ends
-    there."""
+    """Land beyond the border: hills, crater rims, mesas. Left out, the terrain ends there."""
     planet: JsonObject = key(an("terrain_planet"), sparse=True)
     """The sphere that the ground curves as. Left out, it lies on a plane."""
 
@@ -93,9 +92,9 @@ class Terrain:
 
 @dataclass(frozen=True, kw_only=True)
 class TerrainHorizon:
-    """Land beyond the terrain's border, for the distance: one mesh, coarser the farther it is,
-    without gap at the border. It is cast, labeled and lit as the terrain is; objects with beyond_m
-    lie on it, and cameras stay on the terrain. Its mesh keeps the tolerance of the terrain's.
+    """Land beyond the terrain's border: one mesh without a gap, coarser with distance, cast,
+    labeled and lit as the terrain, to the same tolerance. Objects with beyond_m lie on it; cameras
+    stay on the terrain.
     """
 
     EXAMPLE: ClassVar = {
@@ -117,16 +116,15 @@ class TerrainHorizon:
     reach_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000)
     """How far it goes beyond the border."""
     spacing_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
-    """Largest distance between height samples of its relief; left out, a 256th of what it spans.
-    Noises show what is finer all the same."""
+    """Largest distance of its height samples; left out, a 256th of its extent. Noises show what is
+    finer all the same."""
     blend_m: float = key(forms.LENGTH_PER_BATCH, default=60, above=0, at_most=1_000_000)
     """Width over which heights and materials of the border give way to its own."""
     relief: tuple[Any, ...] = key(list_of(an("relief"), "One relief operator.", least=1))
-    """Operators that shape it, in order, about the terrain's center; the first must be a base
-    (plane or dem)."""
+    """Its operators, in order, about the terrain's center, the first a base (plane or dem)."""
     material: str = key(forms.TEXT)
-    """Name of a material; its displacement does not show. Pictures of a size_m of some hundred
-    meters give far slopes stones and hollows down to the pixel."""
+    """Name of a material, whose displacement does not show. Pictures with size_m of hundreds of
+    meters give far slopes detail."""
     labels: JsonObject = key(an("label_choice"), default={})
     """Its label on every level."""
 
@@ -171,8 +169,8 @@ class GroundBase:
 
 @dataclass(frozen=True, kw_only=True)
 class GroundLayerKeys:
-    """A layer merged over those before it: where its noise passes the threshold and all its
-    conditions hold, the label is this layer's. The color blends about the border.
+    """A layer over those before it: where its noise passes the threshold and all conditions hold,
+    the label is this layer's. The color blends about the border.
     """
 
     EXAMPLE: ClassVar = {
@@ -188,22 +186,19 @@ class GroundLayerKeys:
     labels: JsonObject = key(an("label_choice"), default={})
     """The layer's label on every level."""
     noise: JsonObject = key(an("ground_noise"), default={})
-    """The noise that says where the layer lies. Left out beside where, the layer lies wherever that
-    says."""
+    """Noise that says where the layer lies. Left out beside where, that alone says it."""
     where: Any | None = key(list_of(an("ground_where"), "One condition.", least=1), optional=True)
     """Conditions that must all hold where the layer lies."""
     sharpness: float = key(forms.PER_BATCH, default=5, above=0, at_most=1_000_000)
     """How fast the color changes across the border; larger is sharper."""
     threshold: float = key(forms.PER_BATCH, default=0.5, above=0, below=1)
     """Weight of the color at the border: at 0.5 it runs along the conditions' bounds, above it
-    within them. Not together with coverage."""
+    within them. Not with coverage."""
     coverage: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
-    """Fraction of the area that the layer covers: moves the noise's border in place of threshold,
-    within what the conditions leave."""
+    """Fraction of the area that the layer covers, within its conditions; in place of threshold."""
     height_blend: float = key(forms.FRACTION_PER_BATCH, default=0)
-    """Depth over which the height maps of the layer and of what lies below it decide which of the
-    two is seen, as a share of the maps' range, so that stones stand out of sand; 0: the weights
-    alone blend them. Labels never heed it."""
+    """Depth, as a share of the maps' range, over which height maps decide whether this layer or the
+    one below is seen, so that stones stand out of sand. 0: the weights alone. Labels ignore it."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -252,9 +247,7 @@ class GroundNoise:
 
 @dataclass(frozen=True, kw_only=True)
 class Showing:
-    """Where a ground material shows, were the ground laid on the heights before the operator: with
-    the weight of its color.
-    """
+    """Where a ground material shows on the heights before the operator, by its color's weight."""
 
     EXAMPLE: ClassVar = {"type": "material", "material": "lava"}
     TITLE: ClassVar = "Mask: material"
@@ -262,8 +255,7 @@ class Showing:
     material: str = key(forms.TEXT)
     """Material of a ground layer; all layers of it count."""
     layer: int | None = key(forms.COUNT, optional=True, at_least=0, at_most=1000)
-    """The one layer that counts, where the material has more than one: its index in ground, 0 for
-    the base."""
+    """The one layer of it that counts: its index in ground, 0 for the base. Left out, all."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

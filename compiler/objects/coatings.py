@@ -31,9 +31,8 @@ _WAVES = 7.0
 
 @dataclass(frozen=True, kw_only=True)
 class CoatingPlan:
-    """A material on rocks as they rest: on what faces up, in hollows, and next to the ground.
-
-    Labels do not heed it.
+    """A material on rocks as they rest: on tops, in hollows, and next to the ground. Labels ignore
+    it.
     """
 
     EXAMPLE: ClassVar = {"material": "dust", "tops": 0.7, "foot_height": 0.2}
@@ -44,14 +43,13 @@ class CoatingPlan:
     tops: float = key(forms.FRACTION_PER_BATCH, default=0.8)
     """Share of what faces up that it covers; ridges stay bare."""
     max_slope_deg: float = key(forms.PER_BATCH, default=35, at_least=0, at_most=180, unit="deg")
-    """Steepest slope that it lies on; it thins out over 12 degrees to either side."""
+    """Steepest slope that it lies on, fading over 12 degrees to either side."""
     hollows: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """Share that it covers of hollows, unless they face down."""
     foot: float = key(forms.FRACTION_PER_BATCH, default=1)
-    """Share that it covers of a rock next to the ground, where the mean embed of its class puts
-    that."""
+    """Share that it covers next to the ground, at the mean embed of the class."""
     foot_height: float = key(forms.PER_BATCH, default=0.15, at_least=0.01, at_most=1)
-    """How far up from the ground the foot reaches, in parts of a rock's height."""
+    """How high the foot reaches, in parts of a rock's height."""
     key: int = noise_key()
 
 

@@ -116,9 +116,9 @@ class FromCameras(_Distance):
     EXAMPLE: ClassVar = {"type": "camera", "min_m": 6, "softness_m": 3}
 
     min_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1000000000.0)
-    """Smallest distance; left out, no bound."""
+    """Smallest distance."""
     max_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1000000000.0)
-    """Largest distance; left out, no bound."""
+    """Largest distance."""
     softness_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000000.0)
     """Width over which it fades about a bound: half of it on either side."""
     ragged: Ragged | None = key(RAGGED, optional=True)
@@ -131,8 +131,8 @@ class FromCameras(_Distance):
 
 @dataclass(frozen=True)
 class FromObjects(_Distance):
-    """Distances in plan from the objects of an earlier class, between two bounds: from the circle
-    around each, below 0 within it.
+    """Distances in plan from the objects of an earlier class, from the circle around each; below 0
+    within it.
     """
 
     EXAMPLE: ClassVar = {"type": "object", "of": "lander", "min_m": 2}
@@ -142,11 +142,11 @@ class FromObjects(_Distance):
     min_m: float | None = key(
         LENGTH_PER_BATCH, optional=True, at_least=-1000000000.0, at_most=1000000000.0
     )
-    """Smallest distance; left out, no bound."""
+    """Smallest distance."""
     max_m: float | None = key(
         LENGTH_PER_BATCH, optional=True, at_least=-1000000000.0, at_most=1000000000.0
     )
-    """Largest distance; left out, no bound."""
+    """Largest distance."""
     softness_m: float = key(LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000000.0)
     """Width over which it fades about a bound: half of it on either side."""
     ragged: Ragged | None = key(RAGGED, optional=True)

@@ -102,9 +102,8 @@ class WorleyDensity(Everywhere):
     scale_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
     """Width of a cell."""
     distance: Literal["f1", "f2-f1"] = key(forms.CHOICE, default="f1")
-    """f1: heaps about scattered points, (1 - F1)^sharpness. f2-f1: along the borders of their
-    cells, as in cracks, (1 - (F2 - F1))^sharpness. Distances are in cells, and nothing is below 0.
-    """
+    """f1: heaps about scattered points, (1 - F1)^sharpness. f2-f1: along the borders of cells, (1 -
+    (F2 - F1))^sharpness. Distances are in cells; nothing is below 0."""
     sharpness: float = key(forms.PER_BATCH, default=3, at_least=0, at_most=100)
     """Exponent: how much heaps or lines stand out; 0 is uniform."""
     jitter: float = key(forms.FRACTION_PER_BATCH, default=1)
@@ -137,10 +136,8 @@ def _worley_part(begin, end, key, x, y, jitter, first, second):  # type: ignore[
 
 @dataclass(frozen=True)
 class ImageDensity(Density):
-    """A picture, laid over the terrain's rectangle: its top row is the northern border.
-
-    Black is none; other values count in proportion, the mean of the channels, as they are
-    stored.
+    """A picture over the terrain's rectangle, its top row north. Objects are in proportion to the
+    stored values, averaged over channels; black is none.
     """
 
     EXAMPLE: ClassVar = {"type": "image", "file": "density.png"}
@@ -186,20 +183,18 @@ def _along(values: NDArray[np.float64], at: NDArray[np.float64], axis: int) -> N
 
 @dataclass(frozen=True, kw_only=True)
 class Clusters:
-    """Clusters (Thomas 1949): parents scattered evenly, objects around them, normally distributed.
-
-    Parents lie as far around the terrain as clusters reach.
+    """Clusters (Thomas 1949): parents scattered evenly, also around the terrain, with objects
+    normally distributed around them.
     """
 
     EXAMPLE: ClassVar = {"type": "clusters", "parents": 9, "sigma_m": 7, "background": 0.15}
 
     parents: int | None = key(forms.WHOLE_PER_BATCH, optional=True, at_least=1, at_most=1_000_000)
-    """Number of parents per terrain; those around it come on top. One of parents and parents_per_m2
-    is given."""
+    """Parents on the terrain; those around it come on top. Or give parents_per_m2."""
     parents_per_m2: float | None = key(
         forms.PER_BATCH, optional=True, above=0, at_most=1000000.0, unit="1/m^2"
     )
-    """Number of parents per square meter, on average: they are a Poisson process."""
+    """Mean number of parents per square meter, a Poisson process."""
     sigma_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
     """Standard deviation of objects about their parent, along each axis."""
     background: float = key(forms.BACKGROUND)
@@ -272,15 +267,14 @@ class PathDensity(Density):
     EXAMPLE: ClassVar = {"type": "path", "file": "track.csv", "width_m": 4, "offset_m": 2}
 
     file: Path = key(file("polyline"))
-    """CSV of the path's points, columns x_m and y_m: relative to the cfg, or "package:NAME/path".
-    """
+    """CSV of points, columns x_m and y_m, relative to the cfg, or "package:NAME/path"."""
     law: Literal["gaussian", "band"] = key(forms.CHOICE, default="gaussian")
-    """gaussian: width_m is the standard deviation of the distance from offset_m; band: even over
-    width_m on either side of it."""
+    """gaussian: width_m is the standard deviation about offset_m; band: even over width_m on either
+    side of it."""
     width_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1000000000.0)
     """Width, see law."""
     offset_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000000.0)
-    """Distance from the path at which they are densest, as in the berms of a track."""
+    """Distance from the path where they are densest, as berms of a track."""
     background: float = key(forms.BACKGROUND)
 
     def on(self, lattice: PlanLattice, context: PlacementContext) -> NDArray[np.float64]:
@@ -303,8 +297,8 @@ class PathDensity(Density):
 
 @dataclass(frozen=True)
 class AroundDensity(Density):
-    """Around the objects of an earlier class, as the finer debris about half-buried boulders:
-    densest beside an object, falling to none at the reach as the square of what is left of the way.
+    """Around the objects of an earlier class, as debris about boulders: densest beside an object,
+    none at the reach, quadratic between.
     """
 
     EXAMPLE: ClassVar = {"type": "around", "of": "boulders", "reach": 1.6}
@@ -312,11 +306,10 @@ class AroundDensity(Density):
     of: str = key(forms.TEXT)
     """The class."""
     reach: float = key(forms.PER_BATCH, default=1.5, above=0, at_most=1000)
-    """How far it reaches beyond the circle around an object, as a multiple of that circle's radius:
-    the distance from the object's origin to its farthest point."""
+    """How far it reaches beyond the circle around an object, in radii of that circle (origin to
+    farthest point)."""
     inside: float = key(forms.FRACTION_PER_BATCH, default=0.6)
-    """Where it begins, in the same radii from the object's origin: below 1, as rocks are narrower
-    than their circle."""
+    """Where it begins, in the same radii: below 1, as rocks are narrower than their circle."""
     min_size_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
     """Objects whose circle has a smaller diameter have none."""
     background: float = key(forms.BACKGROUND)

@@ -34,14 +34,12 @@ _POINTS, _AROUND = 8, 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class Fillet:
-    """A ramp of the ground about a rock's foot: highest where it meets the rock, level where it
-    ends, higher and longer on some sides than on others (by up to 70 %). It is detail of the
-    ground's mesh, as fine as cameras see it, and keeps the ground's material and labels. Rocks stay
-    where they are, a little deeper in the ground, and of what stands out of it no more than 30 %
-    counts as the height; classes after them are seated on it, poses of cameras do not heed it.
-    Where the fillets of a class overlap, the highest counts. Rocks have none that is lower than
-    twice the mesh's tolerance_px in the nearest view, and none where the terrain is a mesh, where
-    its mesh is the plain grid (terrain.mesh.tolerance_px 0), or without cameras.
+    """A ramp of the ground about a rock's foot, higher and longer on some sides (by up to 70 %);
+    the highest counts where several overlap. It is detail of the ground's mesh, with the ground's
+    material and labels; later classes are seated on it, poses of cameras ignore it. At most 30 % of
+    what stands out of the ground counts as the height. Rocks have none lower than twice
+    tolerance_px in the nearest view, and none on a terrain from a mesh, with tolerance_px 0, or
+    without cameras.
     """
 
     EXAMPLE: ClassVar = {"height": {"type": "uniform", "min": 0.04, "max": 0.1}, "reach": 0.4}

@@ -31,9 +31,8 @@ class ObjectDetail:
 
     TITLE: ClassVar = "Object detail"
     max_triangles: int | None = key(forms.COUNT, optional=True, at_least=1, at_most=10_000_000_000)
-    """Most triangles of all objects together, each instance counted as if it were written out, as
-    some renderers do. Levels of detail are then chosen for errors larger than lod_px, by one factor
-    for all classes; the report says by how much. Left out, lod_px alone decides."""
+    """Most triangles of all objects together, each instance counted in full. It coarsens all
+    classes beyond lod_px by one factor, which the report states. Left out, lod_px alone decides."""
 
 
 @dataclass(frozen=True)

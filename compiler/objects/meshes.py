@@ -41,11 +41,11 @@ class Meshes(Scattered):
     scale: Number = key(forms.PER_INSTANCE, default=1, above=0, at_most=1_000_000)
     """Factor on a model's size."""
     variation: float = key(forms.FRACTION_PER_BATCH, default=0)
-    """How much the albedo of the files' own materials varies from instance to instance: base_color
-    (1 + variation v), v in [-1, 1]."""
+    """How much the albedo of files' materials varies by instance: base_color (1 + variation v), v
+    in [-1, 1]."""
     seat: Literal["origin", "touch"] = key(forms.CHOICE, default="origin")
-    """What stands on the ground: origin, the file's, where plants and made things have their foot;
-    or touch, whichever vertex meets it first, as rocks do."""
+    """What stands on the ground: origin, the file's, as for plants and made things; or touch, the
+    vertex that meets it first, as for rocks."""
     embed: Number = key(forms.FRACTION_PER_INSTANCE, default=0)
     """Fraction of an object's own height that is below the surface."""
 

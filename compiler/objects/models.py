@@ -18,17 +18,16 @@ MODELS = list_of(an("model"), "One model.", least=1, most=1000).but(
     description="The models; each instance is one of them."
 )
 MATERIAL = TEXT.but(
-    description="Name of a material for all of it, in place of the files' own. Left out, each "
-    "file's own materials; what has none is gray."
+    description="Material for all of it. Left out, each file's own materials; what has none is "
+    "gray."
 )
 PARTS = Form(
     {
         "type": "object",
         "additionalProperties": {"description": "One part.", **an("model_part").keywords},
         "x-name": "part",
-        "description": "Parts of the models that differ from the class: by the name of a mesh, of "
-        "what stands above it in the file, or of one of the file's materials. Of several that fit "
-        "a face, the last counts.",
+        "description": "Parts that differ from the class, by the name of a mesh, of a node above "
+        "it, or of a material in the file. The last that fits a face counts.",
     }
 )
 
@@ -42,26 +41,23 @@ class ModelKeys:
     EXAMPLE: ClassVar = {"file": "rock.obj", "unit_m": 0.01, "up": "y"}
 
     file: Path = key(file("model"))
-    """A .glb, .gltf, .obj, .ply, .stl, .off, .usd, .usda, .usdc, .usdz or .blend file: relative to
-    the cfg, or "package:NAME/path" in an installed Python package, where * stands for any part of a
-    name. What it refers to (materials, pictures, buffers) lies beside or below it. .ply and .stl
-    need the extra meshes, .blend the extra cycles, and no script in it is run."""
+    """A .glb, .gltf, .obj, .ply, .stl, .off, .usd, .usda, .usdc, .usdz or .blend file, relative to
+    the cfg, or "package:NAME/path". What it refers to lies beside or below it. .ply and .stl need
+    the extra meshes, .blend the extra cycles; no script in it is run."""
     part: str | None = key(WORDS, optional=True)
-    """One of the file's meshes: a name, or a path down to it; what stands under that name comes
-    along. Left out, all of them."""
+    """One of the file's meshes, by a name or a path, with what stands under it. Left out, all."""
     unit_m: float | None = key(CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
-    """Meters per unit of the file. Left out, what the file says: 1 in glTF, metersPerUnit in USD,
-    the scene's unit in .blend; OBJ, PLY, STL and OFF say nothing."""
+    """Meters per unit. Left out, what the file says: 1 in glTF, metersPerUnit in USD, the scene's
+    unit in .blend; OBJ, PLY, STL and OFF say nothing."""
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = key(CHOICE, optional=True)
-    """The file's upward axis. Left out, what the file says: y in glTF, upAxis in USD, z in .blend;
-    OBJ, PLY, STL and OFF say nothing."""
+    """Upward axis. Left out, what the file says: y in glTF, upAxis in USD, z in .blend; OBJ, PLY,
+    STL and OFF say nothing."""
     origin: str | tuple[float, float, float] | None = key(
         word_or("base", list_of(_COORDINATE, "Along one axis.", count=3)), optional=True, unit="m"
     )
-    """Which of its points stands on the pose, is what scales and turns leave in place. Left out,
-    the file's own origin; base: the middle of its extent in plan, at its lowest height; or a point:
-    x, y, z in meters with z up, once unit_m and up are applied. Vertices are moved by it in double
-    precision: files in map coordinates need it."""
+    """The point that stands on the pose and that scales and turns keep. base: the middle of its
+    extent in plan, at its lowest height. Or [x, y, z] in meters with z up; map coordinates need
+    this. Left out, the file's origin."""
     weight: float = key(CONSTANT, default=1, at_least=0, at_most=1_000_000)
     """How often it is taken, beside the others."""
 

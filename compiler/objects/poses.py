@@ -46,7 +46,7 @@ class ObjectPose:
     y_m: float = key(LENGTH_PER_BATCH, sparse=True, at_least=-1000000000.0, at_most=1000000000.0)
     """North."""
     latitude_deg: float = key(PER_BATCH, sparse=True, at_least=-90, at_most=90, unit="deg")
-    """Geodetic latitude, where the terrain is on a DEM whose file has a georeference."""
+    """Geodetic latitude, on a georeferenced DEM."""
     longitude_deg: float = key(PER_BATCH, sparse=True, at_least=-360, at_most=360, unit="deg")
     """Longitude, to the east."""
     z_m: float = key(LENGTH_PER_BATCH, default=0, at_least=-1000000000.0, at_most=1000000000.0)
@@ -54,8 +54,7 @@ class ObjectPose:
     rotation_deg: Any = key(
         list_of(_ANGLE, "About one axis.", count=3), default=[0, 0, 0], unit="deg"
     )
-    """Turns about the world's x, y and z, in that order; the last is counterclockwise seen from
-    above."""
+    """Turns about the world's x, y and z, in that order; z counterclockwise from above."""
     scale: float = key(PER_BATCH, default=1, above=0, at_most=1_000_000)
     """Factor on its size."""
     model: int = key(COUNT, default=0, at_least=0, at_most=999)
@@ -79,10 +78,7 @@ class ObjectPose:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedKeys:
-    """Single objects at given poses: a lander, a target, a calibration board.
-
-    Their poses may change with time.
-    """
+    """Single objects at given poses, which may move: a lander, a calibration board."""
 
     EXAMPLE: ClassVar = {
         "type": "placed",
@@ -104,17 +100,14 @@ class PlacedKeys:
     )
     """Where the objects are, one entry each; or give file."""
     file: Path | None = key(file("poses"), optional=True)
-    """A CSV file of poses whose header names its columns: x_m, y_m, or latitude_deg, longitude_deg
-    (where the terrain is on a DEM whose file has a georeference); z_m (else 0); qw, qx, qy, qz
-    (else not turned); scale (else 1); model (index into models, else 0); id (the object's local
-    instance id, from 1); time_s. Rows of one id are one object at several times, between which it
-    moves; without id, rows with time_s are one object and rows without are copies. Relative to the
-    cfg."""
+    """CSV of poses, relative to the cfg. Columns: x_m, y_m, or latitude_deg, longitude_deg on a
+    georeferenced DEM; z_m (else 0); qw, qx, qy, qz (else unturned); scale (else 1); model (index,
+    else 0); id (local instance id, from 1); time_s. Rows of one id are one moving object; without
+    id, rows with time_s are one object, rows without are copies."""
     heights: Literal["ground", "world"] = key(CHOICE, default="ground")
     """What heights are over: the ground below the object's origin, or the world's zero."""
     orientation: Literal["upright", "normal"] = key(CHOICE, default="upright")
-    """upright: as the pose says; normal: the pose's turn, then tilted with the ground under the
-    object."""
+    """upright: as the pose says; normal: then tilted with the ground under it."""
 
     check_files = staticmethod(check_parts)
 

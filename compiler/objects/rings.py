@@ -26,8 +26,8 @@ from scenec.compiler.terrain.operators.craters import (
 
 @dataclass(frozen=True, eq=False)
 class RingDensity(Density):
-    """Around the craters of the relief, as their ejecta: each crater counts with 0.14 R^0.74 (r /
-    R)^-3 (McGetchin et al. 1973; meters), times what wear has left of its depth.
+    """Around the relief's craters, as their ejecta: 0.14 R^0.74 (r / R)^-3 (McGetchin et al. 1973;
+    meters) times the part of the depth that wear has left.
 
     Note: the law is the thickness of ejecta, the mean over all directions, here a measure of how
     many blocks came with them.
@@ -36,12 +36,11 @@ class RingDensity(Density):
     EXAMPLE: ClassVar = {"type": "rings", "min_radii": 1, "max_radii": 3, "background": 0.4}
 
     min_radii: float = key(forms.PER_BATCH, default=0.9, at_least=0, at_most=100)
-    """Inner border, in radii of the crater, 1 is the rim; within it they fade over a fifth of it.
-    """
+    """Inner border in radii of the crater; 1 is the rim. Within it they fade over a fifth of it."""
     max_radii: float = key(forms.PER_BATCH, default=5, above=0, at_most=100)
     """Outer border, in radii of the crater."""
     freshness: float = key(forms.PER_BATCH, default=2, at_least=0, at_most=20)
-    """Exponent on freshness: 0 treats all craters alike, larger ones favor fresh craters."""
+    """Exponent on freshness: 0 treats all craters alike."""
     background: float = key(forms.BACKGROUND)
     craters: tuple[tuple[Craters, tuple[ReliefCondition, ...]], ...] = given(craters_of)
     """With the conditions of their masks, which are taken at their middles."""

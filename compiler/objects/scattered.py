@@ -27,12 +27,11 @@ class Spacing:
     gap_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1000000.0)
     """Least gap between two circles."""
     radius: float | None = key(forms.PER_BATCH, optional=True, at_least=0, at_most=100)
-    """A circle's radius, as a multiple of the distance from its object's origin to its farthest
-    point, tops of trees included. Left out: circles are as wide as the objects are from above, and
-    none overlap (with orientation normal, which the place decides: 1)."""
+    """Radius of the circle, in distances from origin to farthest point, tree tops included. Left
+    out, circles are as wide as objects are from above, and none overlap (with orientation normal:
+    1)."""
     of: tuple[str, ...] | None = key(list_of(forms.TEXT, least=1, unique=True), optional=True)
-    """Classes to keep apart from: this one, or earlier ones, whose own apart does not matter. Left
-    out: this one."""
+    """Classes to keep apart from: this one, or earlier ones. Left out: this one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,13 +48,13 @@ class Scattered:
 
     SHARED: ClassVar = "objects_scattered"
     count: int | None = key(forms.WHOLE_PER_BATCH, optional=True, at_least=0, at_most=100_000_000)
-    """Number of instances, met exactly. One of count and per_m2 is given, or neither where size_m
-    is drawn from golombek_rapp, which says itself how many there are."""
+    """Number of instances, met exactly. Or give per_m2; neither where size_m is golombek_rapp,
+    which implies it."""
     per_m2: float | None = key(
         forms.PER_BATCH, optional=True, at_least=0, at_most=1000000000000.0, unit="1/m^2"
     )
-    """Number per square meter of the terrain in plan: the count is this times the terrain's area,
-    times the part of the density that where leaves, rounded up or down at random."""
+    """Number per square meter of terrain in plan, times the part of the density that where leaves,
+    rounded at random."""
     labels: JsonObject = key(an("label_choice"), default={})
     """The objects' label on every level."""
     instances: bool = key(forms.TRUTH, default=True)
@@ -65,38 +64,33 @@ class Scattered:
     where: tuple[JsonObject, ...] = key(list_of(an("objects_where")), default=[])
     """Conditions on the place, multiplied with the density."""
     beyond_m: float | None = key(forms.LENGTH_PER_BATCH, optional=True, above=0, at_most=1_000_000)
-    """Where given, they lie on the land of terrain.horizon instead: from the terrain's border up to
-    so far beyond it. per_m2 and size_m are then of that land, and conditions are of its heights; it
-    has no materials or craters that a condition or density could ask for. At least a 46th of the
-    terrain's longer side."""
+    """Puts them on the land of terrain.horizon, up to this far beyond the border, instead. per_m2,
+    size_m and conditions are then of that land, which has no materials or craters to ask for. At
+    least a 46th of the terrain's longer side."""
     apart: Spacing | None = key(an("objects_apart", drawn=True), optional=True)
     """Keeps objects from overlapping in plan; left out, they may."""
     shortfall: Literal["error", "fewer"] = key(forms.CHOICE, default="error")
-    """What to do where not all of them can be placed: error, or fewer, which leaves gaps in the
-    ids."""
+    """What happens where not all can be placed: error, or fewer, which leaves gaps in the ids."""
     clearance_m: float = key(
         forms.CONSTANT, default=0, at_least=-1_000_000, at_most=1000000.0, unit="m"
     )
-    """Least distance from any camera of any sample to an object's geometry; an object that is
-    nearer is put elsewhere, so at 0 no camera is inside of one, and may be under a tree's crown.
-    Below 0, cameras may also be in the geometry, so far within the sphere about its origin that
-    holds it; -1000000: anywhere. The geometry counts as a 48th of its size larger at most."""
+    """Least distance from any camera of any sample to an object's geometry (at most a 48th of its
+    size larger); nearer ones are put elsewhere. Below 0, cameras may be so far within the sphere
+    that holds it; -1000000: anywhere."""
     orientation: Literal["random", "upright", "normal"] | None = key(forms.CHOICE, optional=True)
-    """random: any; upright: turned about the vertical only; normal: turned about the ground's
-    normal only. Left out: normal for slabs, random for other rocks, upright for meshes."""
+    """random: any; upright: turned about the vertical; normal: about the ground's normal. Left out:
+    normal for slabs, random for other rocks, upright for meshes."""
     lean_deg: Number | None = key(
         forms.PER_INSTANCE, optional=True, at_least=0, at_most=180, unit="deg"
     )
-    """How far the axis that orientation keeps leans over, toward a random side; not for random,
-    which is any already."""
+    """How far the axis of orientation leans, to a random side; not with random."""
     embed: Number = key(
         forms.FRACTION_PER_INSTANCE, default={"type": "uniform", "min": 0.1, "max": 0.4}
     )
     """Fraction of an object's own height that is below the surface."""
     lod_px: float = key(forms.CONSTANT, default=0.5, at_least=0, at_most=1000)
-    """Largest error of an object's shape (of plants, the root mean square by which corners of
-    leaves move), in pixels of the nearest view: each gets the coarsest level that keeps to it. 0:
-    always the finest level, as without cameras."""
+    """Largest error of shape in pixels of the nearest view (of leaves, root mean square): each
+    object gets the coarsest level that keeps to it. 0: always the finest."""
 
     @staticmethod
     def check(node: Node, hint: str | None = "") -> Iterator[Finding]:

@@ -39,13 +39,13 @@ from scenec.schemas.kernels import kernel
 
 @dataclass(frozen=True)
 class Ragged:
-    """An fBm that is added to what a condition asks for, before it is held against the bounds."""
+    """An fBm added to the condition's quantity before the bounds apply."""
 
     EXAMPLE: ClassVar = {"amplitude": 3, "scale_m": 20}
 
     amplitude: float = key(PER_BATCH, at_least=0, at_most=1_000_000_000)
-    """Amplitude of the first octave, in the unit of the bounds (of the area: in doublings); each
-    later one has half of the one before it."""
+    """Amplitude of the first octave, in the unit of the bounds (for areas, in doublings); each
+    later one has half."""
     scale_m: float = key(LENGTH_PER_BATCH, at_least=1e-09, at_most=1_000_000_000)
     """Size of the largest features."""
     octaves: int = key(WHOLE_PER_BATCH, default=4, at_least=1, at_most=24)
@@ -218,11 +218,11 @@ class Height(Quantity):
     min_m: float | None = key(
         LENGTH_PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000
     )
-    """Smallest height; left out, no bound."""
+    """Smallest height."""
     max_m: float | None = key(
         LENGTH_PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000
     )
-    """Largest height; left out, no bound."""
+    """Largest height."""
     softness_m: float = key(SOFTNESS_M)
     ragged: Ragged | None = key(RAGGED, optional=True)
 
@@ -241,15 +241,15 @@ class Slope(Quantity):
     USUAL: ClassVar = {"relief_mask": {"over_m": 0.0}}
 
     min_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Smallest slope; left out, no bound."""
+    """Smallest slope."""
     max_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Largest slope; left out, no bound."""
+    """Largest slope."""
     softness_deg: float = key(ANGLE_PER_BATCH, default=0, at_least=0, at_most=1_000_000_000)
-    """Width over which it fades about a bound: half of it on either side. On the ground at least an
-    eighth of what changes over a spacing there."""
+    """Width over which it fades about a bound, half on either side. On the ground at least an
+    eighth of the change over a spacing."""
     over_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Length over which the heights are smoothed before the slope is taken (standard deviation of a
-    Gaussian). Left out, 0 in the mask of an operator and two spacings on the ground."""
+    """Standard deviation of the Gaussian that smooths the heights first. Left out: 0 in the mask of
+    an operator, two spacings on the ground."""
     ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
@@ -260,7 +260,7 @@ class Slope(Quantity):
 @dataclass(frozen=True)
 class Curvature(Quantity):
     """Curvature of the ground between two bounds: the Laplacian of the height, above 0 in hollows,
-    below 0 on crests. A bowl z = (x² + y²) / 2R has 2 / R.
+    below 0 on crests. A bowl of radius R has 2 / R.
     """
 
     EXAMPLE: ClassVar = {"type": "curvature", "max_per_m": -0.05, "over_m": 2}
@@ -268,17 +268,16 @@ class Curvature(Quantity):
     min_per_m: float | None = key(
         PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000, unit="1/m"
     )
-    """Smallest curvature; left out, no bound."""
+    """Smallest curvature."""
     max_per_m: float | None = key(
         PER_BATCH, optional=True, at_least=-1_000_000_000, at_most=1_000_000_000, unit="1/m"
     )
-    """Largest curvature; left out, no bound."""
+    """Largest curvature."""
     softness_per_m: float = key(PER_BATCH, default=0, at_least=0, at_most=1_000_000_000, unit="1/m")
-    """Width over which it fades about a bound: half of it on either side. On the ground at least an
-    eighth of what changes over a spacing there."""
+    """Width over which it fades about a bound, half on either side. On the ground at least an
+    eighth of the change over a spacing."""
     over_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Length over which the heights are smoothed first (standard deviation of a Gaussian). Left
-    out, two spacings."""
+    """Standard deviation of the Gaussian that smooths the heights first. Left out, two spacings."""
     ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
@@ -288,11 +287,9 @@ class Curvature(Quantity):
 
 @dataclass(frozen=True)
 class Flow(Quantity):
-    """Area that drains through a place between two bounds: small on crests, large along valleys.
-
-    Water leaves over all borders and parts among all lower neighbors; through hollows it takes
-    one of eight directions, a sample wide. The area is averaged over a spacing, so that such a
-    line counts 0.4 of what it drains and grows wider with it.
+    """Area that drains through a place: small on crests, large along valleys. Water parts among all
+    lower neighbors and leaves over all borders. The area is averaged over a spacing, so a line of
+    water one sample wide counts 0.4 of what it drains.
 
     Note: upslope area, in doublings of 1 m^2.
     """
@@ -302,17 +299,16 @@ class Flow(Quantity):
     min_m2: float | None = key(
         PER_BATCH, optional=True, above=0, at_most=1_000_000_000_000, unit="m²"
     )
-    """Smallest area; left out, no bound."""
+    """Smallest area."""
     max_m2: float | None = key(
         PER_BATCH, optional=True, above=0, at_most=1_000_000_000_000, unit="m²"
     )
-    """Largest area; left out, no bound."""
+    """Largest area."""
     softness_doublings: float = key(PER_BATCH, default=1, at_least=0, at_most=1_000_000_000)
-    """Doublings of the area over which it fades about a bound: half of it on either side. On the
-    ground at least an eighth of what changes over a spacing there."""
+    """Doublings of the area over which it fades about a bound, half on either side. On the ground
+    at least an eighth of the change over a spacing."""
     over_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Length over which the heights are smoothed first (standard deviation of a Gaussian). Left
-    out, two spacings."""
+    """Standard deviation of the Gaussian that smooths the heights first. Left out, two spacings."""
     ragged: Ragged | None = key(RAGGED, optional=True)
 
     def on(self, quantities: Quantities, held: Interval) -> NDArray:
@@ -339,17 +335,16 @@ class Noise(Quantity):
     scale_m: float = key(LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
     """Size of the noise's largest features."""
     octaves: int = key(WHOLE_PER_BATCH, default=4, at_least=0, at_most=24)
-    """Number of octaves at most; in the mask of an operator those finer than the spacing can show
-    are left out."""
+    """Octaves at most; in the mask of an operator those too fine for the spacing are left out."""
     lacunarity: float = key(LACUNARITY)
     gain: float = key(GAIN)
     min: float | None = key(PER_BATCH, optional=True, at_least=-100, at_most=1_000_000_000)
-    """Smallest value; left out, no bound."""
+    """Smallest value."""
     max: float | None = key(PER_BATCH, optional=True, at_least=-100, at_most=1_000_000_000)
-    """Largest value; left out, no bound."""
+    """Largest value."""
     softness: float = key(PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
-    """Width over which it fades about a bound: half of it on either side. On the ground at least an
-    eighth of what changes over a spacing there."""
+    """Width over which it fades about a bound, half on either side. On the ground at least an
+    eighth of the change over a spacing."""
     ragged: Ragged | None = key(RAGGED, optional=True)
     key: int = noise_key()
 
@@ -382,9 +377,9 @@ class FromPoint(Quantity):
     y_m: float = key(LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
     """The point's y."""
     min_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Smallest distance; left out, no bound."""
+    """Smallest distance."""
     max_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Largest distance; left out, no bound."""
+    """Largest distance."""
     softness_m: float = key(SOFTNESS_M)
     ragged: Ragged | None = key(RAGGED, optional=True)
 
@@ -412,12 +407,11 @@ class FromPath(Quantity):
     EXAMPLE: ClassVar = {"type": "path", "file": "track.csv", "max_m": 3, "softness_m": 1}
 
     file: Path = key(file("polyline"))
-    """CSV of the path's points, columns x_m and y_m: relative to the cfg, or "package:NAME/path".
-    """
+    """CSV of points, columns x_m and y_m, relative to the cfg, or "package:NAME/path"."""
     min_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Smallest distance; left out, no bound."""
+    """Smallest distance."""
     max_m: float | None = key(LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1_000_000_000)
-    """Largest distance; left out, no bound."""
+    """Largest distance."""
     softness_m: float = key(SOFTNESS_M)
     ragged: Ragged | None = key(RAGGED, optional=True)
 

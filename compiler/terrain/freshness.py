@@ -46,22 +46,20 @@ _FADE = 4.0
 
 @dataclass(frozen=True)
 class Freshness(Quantity):
-    """Freshness of the ground that craters left, between two bounds in [0, 1].
-
-    A crater's is the part of its depth that wear has left; its ejecta cover all within the rim,
-    half at 2.3 radii and nothing beyond 5, the newest over the oldest. 0 where no crater
-    reaches. Later operators leave it as it is.
+    """Freshness of the ground that craters left, in [0, 1]: the part of a crater's depth that wear
+    has left, within the rim. It halves at 2.3 radii and ends at 5; newer craters cover older
+    ones, later operators change nothing.
     """
 
     EXAMPLE: ClassVar = {"type": "crater_freshness", "min": 0.7, "softness": 0.2}
 
     min: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
-    """Smallest freshness; left out, no bound."""
+    """Smallest freshness."""
     max: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
-    """Largest freshness; left out, no bound."""
+    """Largest freshness."""
     softness: float = key(forms.PER_BATCH, default=0.1, at_least=0, at_most=1_000_000_000)
-    """Width over which it fades about a bound: half of it on either side. On the ground at least an
-    eighth of what changes over a spacing there."""
+    """Width over which it fades about a bound, half on either side. On the ground at least an
+    eighth of the change over a spacing."""
     ragged: Ragged | None = key(forms.RAGGED, optional=True)
     craters: tuple[tuple[Craters, tuple[ReliefCondition, ...]], ...] = given(craters_of)
     """What was laid, in order, each with the conditions of its mask, which are taken on the relief

@@ -19,8 +19,7 @@ RADII_M = {"moon": 1_737_400.0, "mars": 3_389_500.0, "earth": 6_371_008.4}
 
 @dataclass(frozen=True, kw_only=True)
 class TerrainPlanet:
-    """The body that the terrain is a part of: heights drop away from its center as on a sphere, in
-    the horizon, too.
+    """The body that the terrain is part of: heights drop away from the center as on a sphere.
 
     Note: All that is placed has one vertical, the center's: a height h at a distance d is added
     along it, which is off by h * d / R sideways and h * d^2 / (2 R^2) in height, and what stands
@@ -30,7 +29,7 @@ class TerrainPlanet:
     EXAMPLE: ClassVar = {"body": "moon"}
 
     body: Literal["moon", "mars", "earth"] | None = key(forms.CHOICE, sparse=True)
-    """Sphere of a body's mean radius: 1,737.4 km, 3,389.5 km, 6,371.0084 km. Or give radius_m."""
+    """Sphere of a mean radius: 1,737.4 km, 3,389.5 km, 6,371.0084 km. Or give radius_m."""
     radius_m: float | None = key(
         forms.LENGTH_PER_BATCH, sparse=True, above=0, at_most=1_000_000_000_000
     )

@@ -16,9 +16,8 @@ from scenec.compiler.terrain.quantities import Quantities
 
 @dataclass(frozen=True)
 class Shade:
-    """Ground that is darker or lighter where conditions hold: coarse lag on crests, dust in
-    hollows, fresh soil on steep faces and in tracks. It crosses the borders of layers and has no
-    label.
+    """Ground darker or lighter where conditions hold: lag on crests, dust in hollows, fresh soil in
+    tracks. It crosses borders of layers and has no label.
     """
 
     EXAMPLE: ClassVar = {
@@ -27,8 +26,8 @@ class Shade:
     }
 
     by: float = key(forms.PER_BATCH, at_least=-2, at_most=2)
-    """Added to the v of the materials' variation, which stays within [-1, 1]: the albedo is
-    base_color (1 + variation v). Below 0 is darker."""
+    """Added to v of the materials' variation, within [-1, 1]: albedo is base_color (1 + variation
+    v). Below 0 is darker."""
     where: tuple[ReliefCondition, ...] = key(list_of(an("ground_where"), "One condition.", least=1))
     """Conditions, whose weights multiply; taken at the grid's samples."""
 

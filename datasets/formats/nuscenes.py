@@ -76,6 +76,13 @@ TABLES: Mapping[str, tuple[str, ...]] = {
 #: Shares of an instance that are seen, and their names; a token is the number from 1 on.
 _VISIBILITY = ((0.4, "v0-40"), (0.6, "v40-60"), (0.8, "v60-80"), (1.0, "v80-100"))
 _MAP = "maps/none.png"
+#: Attributes of annotations, as they are named, and what they say. Those of nuScenes itself
+#: (``vehicle.moving``) go with its own categories.
+_ATTRIBUTES = {
+    "object.moving": "moves by 1 mm or turns by 1 mrad since the annotation before or to the next",
+    "object.still": "neither moves nor turns since the annotation before and to the next",
+}
+_MOVED = 1e-3
 #: Category of points without a label, as the devkit has it.
 NOISE = "noise"
 
@@ -84,6 +91,7 @@ class Nuscenes(Format):
     """See the module."""
 
     name = "nuscenes"
+    version = 2
     summary = "nuScenes tables: cameras, lidars, boxes, tracks of rigs (3D detection, tracking)"
     needs = ("rgb", "instance", "label")
     # Pictures are taken from the PNG.
@@ -255,8 +263,8 @@ class Nuscenes(Format):
             "(z). `visibility` is the share of its pixels that show it, over all cameras; "
             "`num_lidar_pts` counts the answers of all lidars by instance. Categories are the "
             f"labels of the level `{self.info.level}`; `lidarseg`, where it is asked for, has that "
-            "of each point (0: none). There are no attributes, no radar, no sweeps; the one map is "
-            f"empty (`{_MAP}`)."
+            "of each point (0: none). Attributes say whether an object moves between its "
+            f"annotations. There are no radar and no sweeps; the one map is empty (`{_MAP}`)."
         )
 
 
@@ -399,11 +407,28 @@ class _SplitTables:
 
     def rows(self) -> dict[str, list[dict[str, Any]]]:
         """Returns the tables, each row with the schema's fields in their order."""
+        annotations = self._rows["sample_annotation"]
+        for row in annotations.values():
+            near = [annotations[row[side]] for side in ("prev", "next") if row[side]]
+            # Of an object that is annotated once nobody knows.
+            if near:
+                name = "object.moving" if any(moved(row, one) for one in near) else "object.still"
+                made = self._put("attribute", name, name=name, description=_ATTRIBUTES[name])
+                row["attribute_tokens"] = [made["token"]]
         return {
             table: [{field: row[field] for field in fields} for row in self._rows[table].values()]
             for table, fields in TABLES.items()
             if table != "lidarseg" or self._segmented
         }
+
+
+def moved(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Tells whether two annotations of an object differ in place or attitude."""
+    off = np.subtract(row["translation"], other["translation"])
+    # Half the angle's sine, of quaternions that may differ in sign.
+    turn = min(np.abs(np.subtract(row["rotation"], np.multiply(other["rotation"], sign))).max()
+               for sign in (1.0, -1.0))  # fmt: skip
+    return bool(np.abs(off).max() > _MOVED or turn > 0.5 * _MOVED)
 
 
 def _token(table: str, split: str, named: str) -> str:

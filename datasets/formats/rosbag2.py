@@ -86,7 +86,7 @@ class Rosbag2(Format):
 
     name = "rosbag2"
     summary = "ROS 2 bags (MCAP): images, depth, labels, camera info, tf, poses; one a batch"
-    version = 4
+    version = 5
     # Pictures are taken from the PNG.
     unused = ("rgb",)
     beside = BESIDE
@@ -277,7 +277,7 @@ class _Bag:
     def _frame(self, frame: LoadedFrame, stamp: int) -> None:
         name, make = frame.ref.camera, self._make
         camera = self._cameras[name]
-        optical = f"{camera}_optical"
+        optical = self._rigs.optical(name)
         for topic, message in self._rigs.at(frame, make, stamp):
             self._put(topic, message, stamp)
         right, pair = self._rigs.right.get(name, 0.0), self._rigs.rectified.get(name)

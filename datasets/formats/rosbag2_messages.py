@@ -197,7 +197,11 @@ class Messages:
         return self._make("nav_msgs/Path", self.header("world", stamps[0]), stamped)
 
     def imu(self, imu: Imu, k: int, frame_id: str, stamp: int) -> Any:
-        """sensor_msgs/Imu of a reading; it knows no orientation."""
+        """sensor_msgs/Imu of a reading; it knows no orientation.
+
+        That is a covariance of -1 by the message's definition, and a quaternion of zeros by what
+        RealSense's driver writes and rtabmap looks at: any other is the rig's attitude to it.
+        """
         unknown = np.zeros(9)
         unknown[0] = -1.0
         rate = imu.rate_hz
@@ -206,7 +210,7 @@ class Messages:
         return self._make(
             "sensor_msgs/Imu",
             self.header(frame_id, stamp),
-            self._make("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0),
+            self._make("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 0.0),
             unknown,
             self._vector(imu.gyroscope[k]),
             np.diag([spin] * 3).reshape(-1),

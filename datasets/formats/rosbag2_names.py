@@ -45,6 +45,9 @@ LAYOUTS: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "vins": {"left": "/cam0/{}", "right": "/cam1/{}", "single": "/cam0/{}", "imu": "/imu0"},
 }
+#: Packages that look for a pair's right pictures in the frame of the left camera, which P is of:
+#: image_geometry (StereoCameraModel.fromCameraInfo) stops the program elsewhere.
+IN_LEFT_FRAME: Final = frozenset({"stereo_image_proc"})
 #: Frames of that rig then: the body, which the package itself places, and where it truly is.
 BODY: Final = "base_link"
 TRUTH: Final = "ground_truth"

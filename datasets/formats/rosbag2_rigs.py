@@ -18,6 +18,7 @@ from scenec.datasets.formats.rectify import Rectified, rectified_partners
 from scenec.datasets.formats.rosbag2_messages import NANO, Messages, RigMotionAt
 from scenec.datasets.formats.rosbag2_names import (
     BODY,
+    IN_LEFT_FRAME,
     LAYOUTS,
     TRUTH,
     Topics,
@@ -163,6 +164,14 @@ class RigsOfBag:
             for names, role in ((imus, "imu"), (lidars, "lidar")):
                 roles.update({self._carried[f"{rig}_{name}"]: role for name in names[:1]})
         return roles
+
+    def optical(self, camera: str) -> str:
+        """Returns the frame of a camera's pictures: its own, or its left partner's."""
+        if self._form.option("topics") in IN_LEFT_FRAME:
+            rights = {right: left for left, (right, _) in self.pairs.items()}
+            rights.update({right: left for left, right in self._rectified_pairs()})
+            camera = rights.get(camera, camera)
+        return f"{self._cameras[camera]}_optical"
 
     def _rectified_pairs(self) -> list[tuple[str, str]]:
         names = [*self.rectified]

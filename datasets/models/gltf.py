@@ -22,12 +22,12 @@ from scenec.schemas.codec import encode
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.glb import ARRAY, INDICES, GlbBuffer
-from scenec.schemas.model import Look, Model, Part, Placement, View
+from scenec.schemas.model import Look, Mask, Model, Part, Placement, View
 from scenec.schemas.picture import luminance
 from scenec.schemas.quaternions import quaternions
 from scenec.schemas.versions import version_of
 
-_REPEAT, _CLAMP = 10497, 33071
+_WRAPS = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
 #: Bits of an id that float32 holds.
 _ID_BITS = 24
 #: Cosine between axes of a matrix above which it is no rotation and scale.
@@ -136,13 +136,15 @@ class _GltfFile:
                 "metallicFactor": _unit(look.metallic),
                 "roughnessFactor": _unit(look.roughness),
             }
-            if look.picture is not None:
+            if look.picture is not None or look.mask is not None:
                 rough["baseColorTexture"] = {"index": self._texture(look)}
             material = {
                 "name": look.name,
                 "pbrMetallicRoughness": rough,
                 "doubleSided": True,
             }
+            if look.mask is not None:
+                material |= {"alphaMode": "MASK", "alphaCutoff": look.mask.threshold}
             extensions: dict[str, Any] = {}
             strength = max(look.emission)
             if strength > 0.0:
@@ -154,7 +156,7 @@ class _GltfFile:
                     "diffuseTransmissionFactor": _unit(look.diffuse_transmission),
                     "diffuseTransmissionColorFactor": rough["baseColorFactor"][:3],
                 }
-                if look.picture is not None:
+                if "baseColorTexture" in rough:
                     through["diffuseTransmissionColorTexture"] = rough["baseColorTexture"]
                 extensions["KHR_materials_diffuse_transmission"] = through
             if extensions:
@@ -164,15 +166,17 @@ class _GltfFile:
             self.json["materials"].append(material)
 
     def _texture(self, look: Look) -> int:
-        wrap = _REPEAT
-        if isinstance(look.picture, Path):
+        wrap, kind = ("repeat", "repeat"), "image/png"
+        if look.mask is not None:
+            data, wrap = _png(self._masked(look, look.mask)), look.mask.wrap
+        elif isinstance(look.picture, Path):
             data, kind = _picture_file(look.picture)
         else:
             assert look.picture is not None
-            data, kind = _png(Image.fromarray(look.picture)), "image/png"
-            wrap = _CLAMP
+            data, wrap = _png(Image.fromarray(look.picture)), ("clamp", "clamp")
         samplers = self.json.setdefault("samplers", [])
-        sampler = {"magFilter": 9729, "minFilter": 9987, "wrapS": wrap, "wrapT": wrap}
+        across, up = (_WRAPS[side] for side in wrap)
+        sampler = {"magFilter": 9729, "minFilter": 9987, "wrapS": across, "wrapT": up}
         if sampler not in samplers:
             samplers.append(sampler)
         images = self.json.setdefault("images", [])
@@ -180,6 +184,26 @@ class _GltfFile:
         textures = self.json.setdefault("textures", [])
         textures.append({"sampler": samplers.index(sampler), "source": len(images) - 1})
         return len(textures) - 1
+
+    def _masked(self, look: Look, mask: Mask) -> Image.Image:
+        """The look's colors with its mask as alpha, of as many texels as the larger of the two."""
+        alpha = Image.fromarray(mask.opacity)
+        if isinstance(look.picture, Path):
+            with Image.open(look.picture) as picture:
+                colors = picture.convert("RGB")
+        elif look.picture is not None:
+            colors = Image.fromarray(look.picture)
+        else:
+            colors = Image.new("RGB", alpha.size, (255, 255, 255))
+        size = max(alpha.width, colors.width), max(alpha.height, colors.height)
+        if size != alpha.size:
+            self.losses.append(
+                f"opacity: the mask of {look.name}, {alpha.width} x {alpha.height} texels, is "
+                f"resampled to {size[0]} x {size[1]}: its contour moves by less than a texel"
+            )
+        found = colors.resize(size, Image.Resampling.BILINEAR)
+        found.putalpha(alpha.resize(size, Image.Resampling.BILINEAR))
+        return found
 
     # Geometry.
 

@@ -1,4 +1,4 @@
-"""A look at point tracks: the first, the middle and the last frame with the points on them."""
+"""Shows point tracks: the first, the middle and the last frame with the points on them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.colors import paint_instances
-from scenec.schemas.correspondence import HIDDEN, VISIBLE
+from scenec.schemas.correspondence import HIDDEN
 from scenec.schemas.files import atomic
 from scenec.schemas.point_tracks import TrackSights
 
@@ -18,10 +17,16 @@ _MOST = 200
 _TRAIL = 8
 #: Of a point, in parts of the picture's width.
 _RADIUS = 1 / 200
+#: Of a step of a trail where the point is hidden.
+_DASHES = 3
+#: Colors that eyes of all kinds tell apart (Okabe and Ito 2008), in turn.
+_COLORS = ("#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7")
 
 
 def write_track_sheet(path: Path, video: NDArray[np.uint8], sights: TrackSights) -> None:
-    """Draws points, a color each: filled where visible, rings where hidden, and where they were.
+    """Draws points, a color each, and where they were.
+
+    A point is filled where it is visible and a ring where it is hidden; its trail is dashed there.
 
     Args:
         path: The .png.
@@ -35,12 +40,11 @@ def write_track_sheet(path: Path, video: NDArray[np.uint8], sights: TrackSights)
     height, width = video.shape[1:3]
     radius = max(1.5, _RADIUS * width)
     sheet = Image.new("RGB", (width * len(shown), height))
-    ids = np.arange(1, 1 + min(len(sights.code), _MOST), dtype=np.uint32)
-    colors = [tuple(color) for color in paint_instances(ids[None])[0].tolist()]
     for place, frame in enumerate(shown):
         picture = Image.fromarray(video[frame])
         draw = ImageDraw.Draw(picture)
-        for track, color in enumerate(colors):
+        for track in range(min(len(sights.code), _MOST)):
+            color = _COLORS[track % len(_COLORS)]
             first = max(0, frame - _TRAIL)
             # Where it was without a break, within the picture.
             broken = np.flatnonzero(sights.code[track, first : frame + 1] > HIDDEN)
@@ -49,12 +53,14 @@ def write_track_sheet(path: Path, video: NDArray[np.uint8], sights: TrackSights)
             at = sights.pixel[track, first : frame + 1] - 0.5
             if not len(at):
                 continue
-            if len(at) > 1:
-                draw.line([tuple(p) for p in at.tolist()], fill=color)
+            hidden = sights.code[track, first : frame + 1] == HIDDEN
+            for k, pieces in enumerate(np.where(hidden[1:] | hidden[:-1], _DASHES, 1).tolist()):
+                ends = at[k] + np.linspace(0.0, 1.0, 2 * pieces)[:, None] * (at[k + 1] - at[k])
+                for start, end in ends.reshape(-1, 2, 2).tolist():
+                    draw.line([*start, *end], fill=color, width=round(0.7 * radius))
             x, y = at[-1].tolist()
             box = (x - radius, y - radius, x + radius, y + radius)
-            visible = sights.code[track, frame] == VISIBLE
-            draw.ellipse(box, fill=color if visible else None, outline=color)
+            draw.ellipse(box, fill=None if hidden[-1] else color, outline=color)
         sheet.paste(picture, (place * width, 0))
     with atomic(path) as temporary:
         sheet.save(temporary, format="PNG")

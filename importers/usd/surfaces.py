@@ -23,8 +23,6 @@ from scenec.schemas.exr import write_rgb
 #: Of ``Surface``, what has a range in a cfg, and its key there.
 _SHARES = ("roughness", "specular", "metallic", "diffuse_transmission")
 _PLAIN = Reading()
-#: What a picture holds where UDIM has no tile: black, dull, even.
-_NO_TILE = {"normal": (0.5, 0.5, 1.0), "roughness": (1.0, 1.0, 1.0)}
 
 
 class Materials:
@@ -174,7 +172,7 @@ def _values(file: Path, kind: str, reading: Reading) -> NDArray[np.float32]:
             return np.tile(_values(file, kind, one), (*reading.tiles[::-1], 1))
         tiles = {place: _values(tile, kind, one) for place, tile in udim.tiles_of(file).items()}
         try:
-            return udim.joined(tiles, reading.tiles, _NO_TILE.get(kind, (0.0, 0.0, 0.0)))
+            return udim.joined(tiles, reading.tiles, udim.NO_TILE.get(kind, (0.0, 0.0, 0.0)))
         except ValueError as error:
             raise ScenecError(f"{file}: {error}") from error
     try:

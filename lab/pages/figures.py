@@ -2,8 +2,8 @@
 
     python lab/pages/figures.py [--only NAME] [--spp 16] [--keep FOLDER] [-o FOLDER] [--fast]
 
-Needs the extra "cycles"; takes minutes on two cores. With --keep, cfgs, stages and frames stay in
-FOLDER, and frames that are there are not made again.
+Needs the extra "cycles" (tracks: "pyrender"); takes minutes on two cores. With --keep, cfgs, stages
+and frames stay in FOLDER, and frames that are there are not made again.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 from PIL import Image
 
+import scenec
 from scenec.compiler.cfg.load import load
 from scenec.compiler.kinds.table import CHOICES
 from scenec.datasets.colors import paint_instances
@@ -32,11 +33,15 @@ def _frame(page: Page, name: str, cfg: Any, **passes: Any) -> Frame:
     folder = page.options.keep or page.scratch
     folder.mkdir(parents=True, exist_ok=True)
     if isinstance(cfg, dict):
-        path = folder / f"{name}.json"
-        path.write_text(json.dumps(cfg, indent=1), encoding="utf-8")
-        cfg = path
+        cfg = _written(folder / f"{name}.json", cfg)
     spp = 2 if page.fast else page.options.spp
     return frames(cfg, folder / name, "cycles", spp=spp, samples=[0], **passes)[0]
+
+
+def _written(path: Path, cfg: dict[str, Any]) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(cfg, indent=1), encoding="utf-8")
+    return path
 
 
 def passes(page: Page) -> list[list[Tile]]:
@@ -108,9 +113,35 @@ def grounds(page: Page) -> list[list[Tile]]:
     return [tiles[i : i + 4] for i in range(0, len(tiles), 4)]
 
 
+def tracks(page: Page) -> list[list[Tile]]:
+    """Points on boulders and ground, followed from a camera that goes around them."""
+    stone, sand = (
+        {"base_color": color, "specular": 0, "maps": {"procedural": {"type": kind}}}
+        for kind, color in (("basalt", [0.2, 0.19, 0.18]), ("sand", [0.42, 0.31, 0.19]))
+    )
+    rig = {
+        "pose": {"type": "orbit", "center": {"type": "point", "x_m": 0, "y_m": 0}, "radius_m": 5,
+                 "height_m": 1.5, "period_s": 24, "sampling": {"rate_hz": 4}},
+        "sensors": {"eye": {"resolution": [480, 360], "fov_deg": 55}},
+    }  # fmt: skip
+    cfg = plain(30, 0.1, sand, rig, light={"sun": {"elevation_deg": 38}, "sky": {"type": "clear"}})
+    cfg |= {"samples": 5 if page.fast else 17, "materials": {"ground": sand, "stone": stone}}
+    size = {"type": "log_uniform", "min": 0.4, "max": 1.6}
+    cfg["objects"] = {"rocks": {"type": "rocks", "count": 160, "material": "stone", "size_m": size,
+                                "prototypes": 6, "apart": {"gap_m": 0.1}}}  # fmt: skip
+    out = (page.options.keep or page.scratch) / "tracks"
+    frames(_written(out.with_suffix(".json"), cfg), out, "pyrender", spp=2 if page.fast else 16)
+    scenec.export(out, "tapvid", settings=["points=60", "queries=first"], replace=True)
+    with Image.open(out / "datasets/tapvid/batch_0000/camera_eye.png") as found:
+        wide = found.width // 3
+        shown = [found.crop((k * wide, 0, (k + 1) * wide, found.height)) for k in range(3)]
+    times = (0, cfg["samples"] // 2 / 4, (cfg["samples"] - 1) / 4)
+    return [[(f"{at:g} s", tile) for at, tile in zip(times, shown, strict=True)]]
+
+
 def main(page: Page) -> None:
     """Renders the pictures that were chosen."""
-    for part in (passes, merging, grounds):
+    for part in (passes, merging, grounds, tracks):
         if not page.options.only or part.__name__ in page.options.only:
             print(f"{part.__name__}: compiling and rendering", file=sys.stderr, flush=True)
             save(sheet(part(page), _WIDTH), page.picture(part.__name__))

@@ -10,13 +10,28 @@ from pathlib import Path
 import h5py
 import pyarrow.parquet as pq
 import pytest
+from rosbags.rosbag2 import Reader
 
 from scenec.datasets.export import Choice, export
-from scenec.datasets.formats.nuscenes import TABLES
-from scenec.testing.exports import OPTIONS
+from scenec.testing.exports import OPTIONS, write
 from scenec.testing.made_frames import LEFT, RIGHT, made_rigs, make_out
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs/datasets.md").read_text()
+_COCO = """info description version licenses images id file_name width height annotations image_id
+    category_id bbox area iscrowd categories name supercategory"""
+#: Fields of the documents that the page names, for frames without lenses, of a pair.
+DOCUMENTED = {
+    "coco": f"{_COCO} segmentation size counts",
+    "panoptic": f"{_COCO} segments_info isthing color",
+    "cityscapes": "intrinsic fx fy u0 v0 extrinsic baseline pitch roll yaw x y z",
+    "bop": """cam_K depth_scale cam_R_w2c cam_t_w2c obj_id cam_R_m2c cam_t_m2c bbox_obj bbox_visib
+        px_count_all px_count_valid px_count_visib visib_fract diameter min_x min_y min_z size_x
+        size_y size_z""",
+    "nerfstudio": """camera_model applied_scale frames file_path w h fl_x fl_y cx cy
+        transform_matrix depth_file_path""",
+}
+#: Folders of a tree of MPI Sintel.
+SINTEL = {"final", "clean", "flow", "occlusions", "invalid"}
 #: Of every dataset, described in a section of their own.
 COMMON = {"export.json", "statistics.json"}
 
@@ -73,26 +88,41 @@ def written(folder: Path) -> set[str]:
                     found.add(member.name.partition(".")[2])
                     if member.name.endswith(".json"):
                         found |= keys(json.load(tar.extractfile(member)))
-        elif path.name == "sequences.csv":
-            found |= set(path.read_text().splitlines()[0].split(","))
+        elif path.suffix == ".mcap":
+            with Reader(path.parent) as bag:
+                found |= {one.msgtype.rpartition("/")[2] for one in bag.connections}
+        elif path.suffix in (".flo", ".exr", ".png"):
+            found |= {part for part in path.parts if part in SINTEL}
+            found |= set(re.findall("_(rgb|[a-z]+_label|[a-z]+_depth)_[0-9]+[.]", path.name))
     return found
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("moving")
+    write(folder)
+    return folder / "out"
+
+
+@pytest.mark.parametrize(
+    ("name", "least"), [("sintel", 5), ("oaisys", 10), ("rosbag2", 8)]
+)  # fmt: skip
+def test_the_page_names_what_trees_and_bags_hold(moving, tmp_path, name, least):
+    choice = Choice(rigs=lambda _stage: made_rigs(2))
+    found = written(export(moving, name, tmp_path / "d", choice).folder) - {"class"}
+    assert len(found) >= least
+    assert found - fields_of(name) == set()
 
 
 @pytest.mark.parametrize(
     "name",
-    ["bop", "cityscapes", "coco", "euroc", "hdf5", "kitti", "nerfstudio", "panoptic", "parquet",
-     "tum", "webdataset"],
-)  # fmt: skip
-def test_the_page_names_each_field_that_an_export_has(out, tmp_path, name):
+    ["bop", "cityscapes", "coco", "hdf5", "nerfstudio", "panoptic", "parquet", "webdataset"],
+)
+def test_the_page_names_each_field_that_an_export_has_beside_the_document_s(out, tmp_path, name):
     options = {} if name in ("kitti", "coco") else OPTIONS.get(name, {})
     choice = Choice(options=options, rigs=lambda _stage: made_rigs(2))
     found = written(export(out, name, tmp_path / "d", choice).folder)
     names = {"rover_left", "rover_right", "class", "all", "all-000000.tar"}
-    assert found - names - fields_of(name) == set()
-
-
-def test_the_page_names_each_field_of_nuscenes_tables():
-    assert {name for fields in TABLES.values() for name in (*fields,)} - fields_of(
-        "nuscenes"
-    ) == set()
-    assert set(TABLES) <= fields_of("nuscenes")
+    documented = set(DOCUMENTED.get(name, "").split())
+    assert documented <= found
+    assert found - names - documented - fields_of(name) == set()

@@ -13,7 +13,7 @@ from nuscenes.utils.geometry_utils import points_in_box, transform_matrix
 from pyquaternion import Quaternion
 
 import scenec
-from scenec.datasets.formats.nuscenes import TABLES
+from scenec.datasets.formats.nuscenes import TABLES, moved
 from scenec.datasets.source import Source
 from scenec.schemas.errors import OutputError
 from scenec.schemas.lens import directions, to_plane
@@ -210,6 +210,20 @@ def test_labels_of_lidar_points_are_the_scan_s_and_the_devkit_counts_them(out, t
             assert count == 0 or any(
                 name in line and f"{count:,}" in line for line in shown.splitlines()
             )
+
+
+def test_attributes_say_what_moves_and_nothing_of_what_is_annotated_once(nusc):
+    for row in nusc.sample_annotation:
+        names = [nusc.get("attribute", token)["name"] for token in row["attribute_tokens"]]
+        assert names == (["object.still"] if row["prev"] or row["next"] else [])
+    once = [{"translation": [0.0, 0, 0], "rotation": [1.0, 0, 0, 0]}] * 2
+    for key, value, moves in (
+        ("translation", [0.002, 0, 0], True),
+        ("translation", [0.0005, 0, 0], False),
+        ("rotation", [-1.0, 0, 0, 0], False),
+        ("rotation", Quaternion(axis=[0, 0, 1], radians=0.002).elements.tolist(), True),
+    ):
+        assert moved(once[0], {**once[1], key: value}) == moves
 
 
 def test_rocks_stand_still_and_their_visibility_is_their_pixels_share(out, nusc):

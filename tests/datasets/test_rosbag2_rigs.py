@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -197,6 +198,8 @@ def test_imu_messages_are_the_readings_and_come_before_the_pictures_of_their_tim
         assert np.allclose(message.angular_velocity_covariance, np.eye(3).ravel() * 1e-8 * 10)
         assert np.allclose(message.linear_acceleration_covariance, np.eye(3).ravel() * 9e-6 * 10)
         assert message.orientation_covariance[0] == -1.0
+        turn = message.orientation
+        assert turn.x == turn.y == turn.z == turn.w == 0.0
     with Reader(out / "bag/all/batch_0000") as reader:
         order = [(time, c.topic) for c, time, _ in reader.messages()]
     assert [time for time, _ in order] == sorted(time for time, _ in order)
@@ -253,6 +256,32 @@ WANTED = {
 }  # fmt: skip
 
 
+def as_packages_require(found, layout):
+    """Holds messages of a pair to what sources of the packages test (docs/datasets.md, files)."""
+    wanted = sorted(WANTED[layout] - {"/imu", "/imu0", "/imu/data", "/scan_cloud"})
+    pictures = [found[topic] for topic in wanted if "camera_info" not in topic]
+    infos = [found[topic] for topic in sorted(found) if re.search("^/(?!rover).*_info$", topic)]
+    assert len(pictures) == len(infos) == 2
+    stamps = [[stamp(message) for _, message in one] for one in (*pictures, *infos)]
+    assert all(one == stamps[0] for one in stamps)
+    for picture, info in zip(pictures, infos, strict=True):
+        for (_, image), (_, camera) in zip(picture, info, strict=True):
+            assert image.header.frame_id == camera.header.frame_id
+            assert image.encoding in ("mono8", "rgb8", "bgr8")
+            assert (image.width, image.height) == (camera.width, camera.height)
+            assert image.step * image.height == len(image.data)
+            assert camera.distortion_model in ("plumb_bob", "rational_polynomial", "equidistant")
+    left, right = (one[0][1] for one in infos)
+    one_frame = left.header.frame_id == right.header.frame_id
+    assert one_frame == (layout == "stereo_image_proc")
+    # fx, fy and cy alike; cx too, since DisparityImage has no place for another.
+    assert np.array_equal(left.p.reshape(3, 4)[:, :3], right.p.reshape(3, 4)[:, :3])
+    assert left.p[3] == 0.0 < -right.p[3] / right.p[0] < 10.0
+    if layout == "rtabmap":
+        fields = {field.name: field.datatype for field in found["/scan_cloud"][0][1].fields}
+        assert fields.items() >= {"x": 7, "y": 7, "z": 7, "time": 7}.items()
+
+
 @pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "scenec"])
 def test_a_layout_has_what_its_package_looks_for_and_leaves_placing_the_rig_to_it(
     out, found, tmp_path, layout
@@ -265,6 +294,7 @@ def test_a_layout_has_what_its_package_looks_for_and_leaves_placing_the_rig_to_i
     image = next(t for t in WANTED[layout] if "left" in t or "cam0" in t)
     assert other[image][0][1].header.frame_id == "rover_left_optical"
     links = tree(other)
+    as_packages_require(other, layout)
     for name in ("rover_left_optical", "rover_unit", "rover_top"):
         assert in_world(links, name, 0)[1] == "base_link"
     pose, root = in_world(links, "ground_truth", 10**8)

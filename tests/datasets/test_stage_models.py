@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 from scipy.spatial.transform import Rotation
 
+from scenec.backends.model.colors import vertex_colors
 from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
 from scenec.datasets.models.gltf import decomposed
@@ -218,6 +220,39 @@ def test_what_sheets_transmit_is_in_the_gltf_and_said_to_be_lost_in_the_usdz(glb
     assert extension in file["extensionsUsed"]
     losses = json.loads((usdz.parent / "export.json").read_text())["batches"]["batch_0000"]
     assert sum("no light passes through sheets" in line for line in losses["losses"]) == 1
+
+
+@pytest.mark.parametrize("pictured", [False, True])
+def test_a_coating_is_drawn_once_or_said_to_be_left_out(tmp_path, pictured):
+    """Factor times color of a vertex is the merged color, of which no part is squared."""
+    asked = small_cfg(samples=1)
+    coatings = [{"material": "sand", "tops": 0.5}]
+    asked["objects"]["rocks"] |= {"coatings": coatings, "count": 9, "orientation": "normal"}
+    if pictured:
+        pixels = np.random.default_rng(1).integers(9, 250, (16, 16, 3)).astype(np.uint8)
+        Image.fromarray(pixels).save(tmp_path / "stone.png")
+        asked["materials"]["stone"]["maps"] = {"base_color": "stone.png", "size_m": 0.2}
+    out = tmp_path / "out"
+    assert main(["compile", str(write_cfg(tmp_path, asked)), "-o", str(out), "--no-cache"]) == 0
+    assert main(["export", str(out), "--format", "gltf", "--set", TEXELS]) == 0
+    file = Glb(out / "datasets" / "gltf" / "batch_0000.glb")
+    scene = read_stage(out / "batch_0000" / "stage.usda")
+    primitives = {m["name"]: m["primitives"][0] for m in file.json["meshes"]}
+    coated = [m for m in scene.meshes if len(m.layers) > 1 and "/Objects/" in m.path]
+    assert coated
+    for mesh in coated:
+        primitive = primitives[mesh.path]
+        rough = file.json["materials"][primitive["material"]]["pbrMetallicRoughness"]
+        said = f"{mesh.path}: what coats its picture is left out"
+        assert (said in file.json["nodes"][0]["extras"]["losses"]) is pictured
+        assert ("COLOR_0" in primitive["attributes"]) is not pictured
+        assert ("baseColorTexture" in rough) is pictured
+        if not pictured:
+            faces = file.array(primitive["indices"]).reshape(-1, 3)
+            shown = file.array(primitive["attributes"]["COLOR_0"]) * rough["baseColorFactor"][:3]
+            np.testing.assert_allclose(
+                shown[faces], vertex_colors(scene, mesh)[mesh.faces], atol=1e-6
+            )
 
 
 def test_turns_and_scales_make_up_their_matrices_again():

@@ -45,9 +45,9 @@ class Descent:
     y_m: float = key(forms.COORDINATE_PER_BATCH, default=0)
     """Touchdown point, to the north."""
     entry_height_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=10_000_000)
-    """Height above the ground at the touchdown point where it begins."""
+    """Height over the touchdown point where it begins."""
     touchdown_height_m: float = key(forms.LENGTH_PER_BATCH, default=1, above=0, at_most=10_000_000)
-    """Height there at which it ends: that of the rig on its legs."""
+    """Height there where it ends: that of the rig on its legs."""
     entry_speed_m_s: float = key(
         forms.PER_BATCH, default=10, above=0, at_most=10_000_000, unit="m/s"
     )

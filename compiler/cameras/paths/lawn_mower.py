@@ -21,9 +21,8 @@ _MOST_LINES: Final = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class LawnMower:
-    """A survey in parallel lines over a rectangle, there and back, with turns of a given radius.
-
-    The outer lines lie on the rectangle's edges.
+    """A survey in parallel lines over a rectangle, to and fro, its outer lines on the edges, with
+    turns of a given radius.
     """
 
     EXAMPLE: ClassVar = {
@@ -49,18 +48,17 @@ class LawnMower:
     )
     """Distance of the lines at most; left out, from the overlap."""
     overlap: float = key(forms.PER_BATCH, default=0.6, at_least=0, at_most=0.99)
-    """Share of its width that a strip has in common with the next one, where the rig's first sensor
-    looks straight down at level ground."""
+    """Share of its width that a strip has in common with the next, for the first sensor looking
+    straight down at level ground."""
     height_m: float = key(forms.COORDINATE_PER_BATCH)
     """Height of the flight."""
     above: Literal["ground", "mean", "world"] = key(forms.CHOICE, default="ground")
-    """What the height is above: ground (below each point, followed exactly), mean (the mean ground
-    along the way: a level flight) or world (z itself)."""
+    """What the height is above: ground (followed exactly), mean (of the ground along the way: level
+    flight) or world (z itself)."""
     speed_m_s: float = key(forms.PER_BATCH, default=2, above=0, at_most=10_000_000, unit="m/s")
     """Speed in plan."""
     turn_radius_m: float = key(forms.LENGTH_PER_BATCH, default=1, above=0, at_most=10_000_000)
-    """Radius of every turn; where it is larger than half of the spacing, turns swing out to the
-    other side first."""
+    """Radius of every turn; above half the spacing, turns first swing out to the other side."""
     pitch_deg: float = key(forms.ANGLE_PER_BATCH, default=-90, at_least=-90, at_most=90)
     """Elevation of the view; -90 looks straight down, the picture's top ahead."""
     sampling: Sampling = key(forms.SAMPLING)

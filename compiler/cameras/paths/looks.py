@@ -56,13 +56,13 @@ class PoseLimits:
     EXAMPLE: ClassVar = {"clearance_m": 0.3, "max_sky": 0.4}
 
     clearance_m: float = key(COORDINATE_PER_BATCH, default=0)
-    """Least distance from any object, and from the ground where the height is the world's.
-    Scattered objects also keep clear of cameras by themselves."""
+    """Least distance from any object, and from the ground where heights are the world's. Scattered
+    objects keep clear of cameras themselves."""
     min_distance_m: float | None = key(
         LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1000000000.0
     )
-    """Smallest distance of what is looked at (of the ground in the view's middle, for a direction).
-    """
+    """Smallest distance of what is looked at (for a direction, of the ground in the view's
+    middle)."""
     max_distance_m: float | None = key(
         LENGTH_PER_BATCH, optional=True, at_least=0, at_most=1000000000.0
     )
@@ -72,14 +72,12 @@ class PoseLimits:
     max_elevation_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=-90, at_most=90)
     """Largest elevation of the view above the horizon."""
     min_incidence_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=180)
-    """Smallest angle between the view and the ground's normal, where the view's middle meets the
-    ground."""
+    """Smallest angle between view and ground normal, in the view's middle."""
     max_incidence_deg: float | None = key(ANGLE_PER_BATCH, optional=True, at_least=0, at_most=180)
-    """Largest angle between the view and the ground's normal, where the view's middle meets the
-    ground."""
+    """Largest angle between view and ground normal, in the view's middle."""
     max_sky: float = key(FRACTION_PER_BATCH, default=1)
-    """Largest share of any sensor's picture that shows no ground, by 12 times 9 rays against the
-    height samples."""
+    """Largest share of any sensor's picture without ground, by 12 × 9 rays against the height
+    samples."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:

@@ -44,11 +44,11 @@ class Mav:
     goals: int = key(forms.COUNT, default=5, at_least=1, at_most=10_000)
     """Number of waypoints that are drawn over the terrain, where none are given."""
     margin: float = key(forms.PER_BATCH, default=0.2, at_least=0, at_most=0.49)
-    """How far drawn waypoints keep from the terrain's border, as a share of its size."""
+    """Distance of drawn waypoints from the border, as a share of the terrain's size."""
     height_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=10_000_000)
     """Height above the highest ground nearby."""
     follow_m: float = key(forms.LENGTH_PER_BATCH, default=5, above=0, at_most=10_000_000)
-    """Length over which the height follows the ground; lower hills between are flown over level."""
+    """Length over which the height follows the ground; lower hills are flown over level."""
     clearance_m: float = key(forms.LENGTH_PER_BATCH, default=0.2, at_least=0, at_most=10_000_000)
     """Least height above the ground anywhere along the flight."""
     speed_m_s: float = key(forms.PER_BATCH, default=5, above=0, at_most=10_000_000, unit="m/s")
@@ -62,7 +62,7 @@ class Mav:
     pitch_deg: float = key(forms.ANGLE_PER_BATCH, default=-30, at_least=-90, at_most=90)
     """Elevation of the view; with tilt, above the body's own level."""
     tilt: bool = key(forms.TRUTH, default=False)
-    """Whether the body tilts with its acceleration, as one that hangs on fixed rotors does."""
+    """Whether the body tilts with its acceleration, as with fixed rotors."""
     gravity_m_s2: float = key(forms.PER_BATCH, default=9.81, above=0, at_most=1000, unit="m/s²")
     """Gravity that the rotors hold the body against."""
     sampling: Sampling = key(forms.SAMPLING)

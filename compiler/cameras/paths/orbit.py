@@ -103,9 +103,8 @@ class ObjectAim:
 
 @dataclass(frozen=True, kw_only=True)
 class Orbit:
-    """A level circle around a point or an object, looking at it.
-
-    The middle of an object is where it is at the batch's beginning.
+    """A level circle around a point or an object (where it is when the batch begins), looking at
+    it.
     """
 
     EXAMPLE: ClassVar = {
@@ -124,8 +123,8 @@ class Orbit:
     start_deg: float = key(forms.TURN_PER_BATCH, default=0)
     """Compass bearing from the center to the first pose, clockwise from +Y (north)."""
     sweep_deg: float = key(forms.TURN_PER_BATCH, default=360)
-    """How far it goes around, clockwise from above; below 0 the other way. Samples that are spread
-    over whole turns do not repeat the first pose at the end."""
+    """How far it goes around, clockwise from above; below 0 the other way. Over whole turns the
+    first pose is not repeated."""
     period_s: float = key(forms.PER_BATCH, default=60, above=0, at_most=1000000000.0, unit="s")
     """Time of a whole turn."""
     clearance_m: float = key(forms.LENGTH_PER_BATCH, default=0.5, at_least=0, at_most=10_000_000)

@@ -54,7 +54,7 @@ class RandomPose:
     }
 
     region_m: Sequence[Sequence[float]] = key(list_of(forms.POINT_M, "One point.", least=2))
-    """Where in plan: two opposite corners of a box, or the corners of a polygon in order."""
+    """In plan: two opposite corners of a box, or a polygon's corners in order."""
     height_m: Number = key(forms.COORDINATE_PER_SAMPLE)
     """Height."""
     above: Literal["ground", "world"] = key(forms.CHOICE, default="ground")

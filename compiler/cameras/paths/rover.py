@@ -28,10 +28,8 @@ _LOOKS = 20_000
 
 @dataclass(frozen=True, kw_only=True)
 class Rover:
-    """A drive over the ground.
-
-    The body lies on its four wheels; steep ground and large objects are driven around. It
-    passes below what is higher than the vehicle, such as the crown of a tree.
+    """A drive over the ground on four wheels, around steep ground and large objects, and below what
+    is higher than the vehicle.
     """
 
     EXAMPLE: ClassVar = {
@@ -44,15 +42,15 @@ class Rover:
 
     waypoints_m: Sequence[Sequence[float]] | None = key(forms.WAYPOINTS_M, optional=True)
     goals: int = key(forms.COUNT, default=4, at_least=1, at_most=10_000)
-    """Number of goals that are drawn on ground that can be reached, where no waypoints are given;
-    the first is where the drive begins."""
+    """Goals drawn on reachable ground, where no waypoints are given; the drive begins at the
+    first."""
     wheel_base_m: float = key(forms.LENGTH_PER_BATCH, default=1, above=0, at_most=1000)
     """Distance between front and rear wheels."""
     track_width_m: float = key(forms.LENGTH_PER_BATCH, default=0.8, above=0, at_most=1000)
     """Distance between left and right wheels."""
     height_m: float = key(forms.LENGTH_PER_BATCH, default=1.5, above=0, at_most=10_000_000)
-    """Height of the rig above the plane through the wheels' lowest points, along its normal; with
-    the highest of its sensors, it is the vehicle's height."""
+    """Height of the rig above the plane of the wheels' lowest points, along its normal; the highest
+    sensor on it sets the vehicle's height."""
     speed_m_s: float = key(forms.PER_BATCH, default=0.5, above=0, at_most=10_000_000, unit="m/s")
     """Largest speed in plan; it is slower in turns that would exceed the turn rate."""
     turn_rate_deg_s: float = key(forms.PER_BATCH, default=20, above=0, at_most=100_000, unit="°/s")
@@ -60,9 +58,8 @@ class Rover:
     max_slope_deg: float = key(forms.ANGLE_PER_BATCH, default=20, at_least=0, at_most=90)
     """Ground that is steeper over a wheel base is driven around."""
     max_object_m: float = key(forms.LENGTH_PER_BATCH, default=0.25, at_least=0, at_most=10_000_000)
-    """Objects whose ball has a larger radius are driven around, where their geometry is between the
-    ground and the vehicle's height; over smaller ones it drives as if they were not there, and
-    report.json lists them."""
+    """Objects whose bounding sphere has a larger radius are driven around where they are below the
+    vehicle's height. Smaller ones are ignored, and listed in report.json."""
     pitch_deg: float = key(forms.ANGLE_PER_BATCH, default=-15, at_least=-90, at_most=90)
     """Elevation of the view above the body's own level."""
     sampling: Sampling = key(forms.SAMPLING)

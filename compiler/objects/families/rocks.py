@@ -51,14 +51,9 @@ class Rocks(Scattered):
     material: str = key(forms.TEXT)
     """Name of a material."""
     family: str = key(Form({"x-open": "scenec.rocks", "enum": list(ROCKS)}), default="weathered")
-    """Kind of rock. weathered: worn blocks with spalls and pits, by angularity. angular: broken
-    along planes, corners chipped, faces of fresh breaks lighter. rounded: cobbles. slab: layered
-    plates with stepped sides, which lie flat unless orientation says otherwise. vesicular: basalt
-    with bubbles, darker inside. ventifact: faces that blown sand has cut, meeting in keels; one
-    face of each looks into the wind of the relief's dunes, barchans or ripples, or else into one
-    that is drawn for the batch. bedded: blocks of layered rock, soft beds weathered back. breccia:
-    angular pieces in a matrix that has weathered back. Ventifacts and bedded blocks stand upright
-    on the ground unless orientation says otherwise."""
+    """Kind of rock; docs/objects.md shows them. Slabs lie flat, ventifacts and bedded blocks stand
+    upright, unless orientation says otherwise. Ventifacts face the wind of the relief's dunes,
+    barchans or ripples, or else a drawn one."""
     prototypes: int = key(forms.WHOLE_PER_BATCH, default=6, at_least=1, at_most=64)
     """Number of different shapes."""
     subdivisions: int = key(forms.WHOLE_PER_BATCH, default=3, at_least=1, at_most=6)
@@ -66,26 +61,24 @@ class Rocks(Scattered):
     size_m: Number = key(forms.LENGTH_PER_INSTANCE, above=0, at_most=1_000_000)
     """Diameter of a rock."""
     elongation: float | None = key(forms.PER_BATCH, optional=True, at_least=0, at_most=0.9)
-    """How much narrower than long a rock is: 1 - b/a, on average over the shapes. Left out, it is
-    that of the family: weathered 0.18, angular 0.29, rounded 0.22, slab 0.25, vesicular 0.2,
-    ventifact 0.28, bedded 0.25, breccia 0.22."""
+    """How much narrower than long, 1 - b/a, on average. Left out, by family: weathered 0.18,
+    angular 0.29, rounded 0.22, slab 0.25, vesicular 0.2, ventifact 0.28, bedded 0.25, breccia
+    0.22."""
     flatness: float | None = key(forms.PER_BATCH, optional=True, at_least=0, at_most=0.9)
-    """How much lower than long a rock is: 1 - c/a, on average over the shapes. Left out, it is that
-    of the family: weathered 0.4, angular 0.5, rounded 0.45, slab 0.8, vesicular 0.35, ventifact
-    0.5, bedded 0.45, breccia 0.4."""
+    """How much lower than long, 1 - c/a, on average. Left out, by family: weathered 0.4, angular
+    0.5, rounded 0.45, slab 0.8, vesicular 0.35, ventifact 0.5, bedded 0.45, breccia 0.4."""
     angularity: float = key(forms.FRACTION_PER_BATCH, default=0.6)
     """From rounded (0) to broken along flat faces (1); of the family weathered only."""
     wear: float | None = key(forms.FRACTION_PER_BATCH, optional=True)
-    """How far edges are worn off: 0 is freshly broken; of all families but weathered. Left out, it
-    is that of the family: angular 0.1, rounded 0.7, slab 0.15, vesicular 0.4, ventifact 0.12,
-    bedded 0.35, breccia 0.4."""
+    """How worn edges are, 0 freshly broken; not of weathered. Left out, by family: angular 0.1,
+    rounded 0.7, slab 0.15, vesicular 0.4, ventifact 0.12, bedded 0.35, breccia 0.4."""
     bumpiness: float = key(forms.FRACTION_PER_BATCH, default=0.3)
     """Height of the small relief on a rock; 0 is smooth."""
     coatings: tuple[JsonObject, ...] = key(
         list_of(an("objects_rocks_coating"), "One coating.", most=8), default=[]
     )
-    """What lies on the rocks, the lowest first: dust, snow, moss, a wet foot. Rocks turned at
-    random have none, for they have no top in common."""
+    """What lies on the rocks, the lowest first: dust, snow, moss, a wet foot. Not on rocks turned
+    at random, which share no top."""
     fillet: Fillet | None = key(an("objects_rocks_fillet", drawn=True), optional=True)
     """Fines heaped about the feet of the rocks; left out, there are none."""
     added: JsonObject = field(default_factory=dict)

@@ -26,7 +26,7 @@ _FINEST = 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class BarchanField:
-    """Single crescent dunes with horns downwind, added to what is there."""
+    """Single crescent dunes with horns downwind."""
 
     EXAMPLE: ClassVar = {
         "type": "barchans",

@@ -44,8 +44,8 @@ _MOST_SAMPLES = 1e10
 
 @dataclass(frozen=True, kw_only=True)
 class CraterLaw:
-    """Impact craters, fresh and worn, drawn from a size-frequency law and laid over each other and
-    over what is there in the order of their ages. A younger crater replaces what lies within it.
+    """Impact craters, fresh and worn, of a size-frequency law, in the order of their ages. A
+    younger one replaces what lies within it.
     """
 
     EXAMPLE: ClassVar = {
@@ -63,21 +63,21 @@ class CraterLaw:
     density_per_m2: float = key(
         forms.PER_BATCH, default=0.033572, at_least=0, at_most=1_000_000_000
     )
-    """Craters larger than reference_diameter_m in a square meter. The default is the equilibrium
-    that small lunar craters are in: 0.0218 · 1.54 above 1 m."""
+    """Craters above reference_diameter_m in a square meter. The default is the equilibrium of small
+    lunar craters: 0.0218 · 1.54 above 1 m."""
     reference_diameter_m: float = key(forms.LENGTH_PER_BATCH, default=1, above=0, at_most=1_000_000)
     """Diameter that density_per_m2 is given for."""
     exponent: float = key(forms.PER_BATCH, default=2, above=0, at_most=10)
-    """The law's exponent b in N(>D) ∝ D^-b: 2 in equilibrium, about 3 where craters have not yet
-    destroyed each other."""
+    """b in N(>D) ∝ D^-b: 2 in equilibrium, about 3 where craters have not yet destroyed each
+    other."""
     depth_ratio: Number = key(forms.FRACTION_PER_INSTANCE, default=0.2)
-    """Depth below the rim of a fresh crater over its diameter: about 0.2 above 400 m, down to 0.1
-    for the smallest lunar ones."""
+    """Depth below the rim over diameter, fresh: about 0.2 above 400 m, down to 0.1 for the smallest
+    lunar ones."""
     rim_ratio: Number = key(forms.PER_INSTANCE, default=0.04, at_least=0, at_most=0.5)
     """Height of a fresh crater's rim over its diameter."""
     degradation: float = key(forms.PER_BATCH, default=0.4, at_least=0, at_most=2)
-    """How worn the oldest craters are: κt/R² of the diffusion that wore them. 0 leaves all fresh;
-    at 0.1 the depth has fallen to 55 %, at 0.5 to 16 %. Ages are uniform."""
+    """Wear of the oldest craters, κt/R² of diffusion: 0 leaves all fresh, 0.1 leaves 55 % of the
+    depth, 0.5 16 %. Ages are uniform."""
     irregularity: float = key(forms.PER_BATCH, default=0.08, at_least=0, at_most=0.5)
     """How far outlines are from circles, as a part of the radius."""
 

@@ -74,7 +74,7 @@ class Crust:
     VARIANTS: ClassVar = {
         "displacement_crust": {
             "DESCRIPTION": "A cemented crust on loose soil (duricrust), broken into plates. It "
-            "ends where the layer does: a high sharpness of that makes a steep border.",
+            "ends where its layer does, steeply where that has a high sharpness.",
         }
     }
     #: Adds to the heights whatever they are (``program``).

@@ -35,8 +35,8 @@ _FEWEST, _ENOUGH = "30 by 30 or more", "55 by 55 pixels are enough"
 
 @dataclass(frozen=True, kw_only=True)
 class Downscale:
-    """Fractal relief finer than the pixel of a DEM, as its own spectrum goes on: of the slope and
-    the density that are measured on the DEM under the terrain.
+    """Fractal relief finer than a DEM's pixel that continues its spectrum, with slope and density
+    measured under the terrain.
 
     Note: To the DEM, which interpolation fades out above half of its Nyquist frequency, fBm is
     added that fades in there. The densities of the sum are within 20 % of the power law from a
@@ -55,7 +55,7 @@ class Downscale:
     """Factor on its heights; 1 goes on as the DEM does."""
     slope: float | None = key(forms.PER_BATCH, optional=True, at_least=_FLATTEST, at_most=_STEEPEST)
     """Slope of the power spectral density below the pixel, 2 (H + 1) of a Hurst exponent H; left
-    out, as it is measured."""
+    out, as measured."""
     dem: Dem | None = given(lambda context: _dem(context))
     key: int = noise_key()
 

@@ -32,8 +32,8 @@ _ACROSS = 6.0
 
 @dataclass(frozen=True)
 class Dunes:
-    """Transverse dunes, added to what is there: long crests across the wind, gentle to windward,
-    with slip faces at the angle of repose.
+    """Transverse dunes: long crests across the wind, gentle to windward, with slip faces at the
+    angle of repose.
 
     Note: The phase is that of a plane wave times a complex noise (phasor noise: Tricard et al.
     2019): phi = k . p + arg(order + n1(p) + i n2(p)). Where the noise is zero, crests end or fork:
@@ -57,7 +57,7 @@ class Dunes:
     repose_deg: float = key(forms.ANGLE_PER_BATCH, default=33, at_least=1, at_most=60)
     """Slope of the slip faces: the angle of repose."""
     order: float = key(forms.PER_BATCH, default=0.3, at_least=0, at_most=100)
-    """How regular the crests are: at 0 they end and fork most often, above 1 they only wind."""
+    """How regular crests are: at 0 they end and fork most, above 1 they only wind."""
     key: int = noise_key()
 
     #: Whether the lee is rounded at its brink and foot.
@@ -128,7 +128,7 @@ class Dunes:
 
 @dataclass(frozen=True)
 class Ripples(Dunes):
-    """Wind ripples, added to what is there: like dunes, but round.
+    """Wind ripples: like dunes, but round.
 
     Note: their lee sides are rounded, and the steepest slope of these is that given.
     """
@@ -138,7 +138,7 @@ class Ripples(Dunes):
     repose_deg: float = key(forms.ANGLE_PER_BATCH, default=28, at_least=1, at_most=60)
     """Steepest slope of the lee sides."""
     order: float = key(forms.PER_BATCH, default=0.4, at_least=0, at_most=100)
-    """How regular the crests are: at 0 they end and fork most often, above 1 they only wind."""
+    """How regular crests are: at 0 they end and fork most, above 1 they only wind."""
     rounded: ClassVar[bool] = True
 
 

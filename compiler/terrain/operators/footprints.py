@@ -63,19 +63,17 @@ class Sole(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Walks:
-    """Prints of ribbed boots, of walks across the terrain, with rims of displaced soil, added to
-    what is there.
-    """
+    """Prints of ribbed boots, of walks across the terrain, with rims of displaced soil."""
 
     EXAMPLE: ClassVar = {"type": "footprints", "walks": 4, "depth_m": 0.03}
 
     walks: int = key(forms.WHOLE_PER_BATCH, default=1, at_least=0, at_most=10_000)
-    """Number of walks. Each crosses the terrain through a point of its inner half."""
+    """Number of walks, each through a point of the terrain's inner half."""
     stride_m: float = key(forms.LENGTH_PER_BATCH, default=1.3, above=0, at_most=1_000_000)
-    """Distance between prints of the same foot; the other foot's are half way."""
+    """Distance between prints of one foot; the other's are half way."""
     length_m: float = key(forms.LENGTH_PER_BATCH, default=0.33, above=0, at_most=1_000_000)
-    """Length of a sole; it is two fifths as wide. Grids with fewer than three samples a rib (16 on
-    a sole) show prints near cameras only, where the mesh is finer than they are."""
+    """Length of a sole, two fifths as wide. With fewer than 16 samples on a sole, prints show only
+    where the mesh near cameras is finer."""
     depth_m: float = key(forms.LENGTH_PER_BATCH, default=0.025, at_least=0, at_most=1_000_000)
     """How deep boots sink; prints scatter by three tenths of it."""
     tread_m: float = key(forms.LENGTH_PER_BATCH, default=0.006, at_least=0, at_most=1_000_000)

@@ -101,7 +101,7 @@ class FinerOctaves:
 
 @dataclass(frozen=True)
 class Multifractal(OctaveRelief):
-    """Fractal relief on Perlin noise, added to what is there (Musgrave, in Ebert et al. 2003).
+    """Fractal relief on Perlin noise (Musgrave, in Ebert et al. 2003).
 
     Note: With octaves n_o of Perlin noise and weights g_o = gain**o:
 
@@ -132,21 +132,20 @@ class Multifractal(OctaveRelief):
     """Height of the first octave's extremes."""
     scale_m: float = key(forms.NOISE_SCALE_M)
     octaves: int = key(forms.WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
-    """Number of octaves at most; those finer than the spacing can show are left out."""
+    """Octaves at most; those too fine for the spacing are left out."""
     lacunarity: float = key(forms.LACUNARITY)
     gain: float = key(forms.GAIN)
     variant: Literal["fbm", "hetero", "hybrid", "ridged", "billow"] = key(
         forms.CHOICE, default="hetero"
     )
-    """fbm: a plain sum; hetero: rough where it is high, smooth in the valleys; hybrid: smooth in
-    valleys at every height; ridged: sharp crests; billow: round hills between creases."""
+    """fbm: a plain sum. hetero: rough on heights, smooth in valleys. hybrid: smooth in valleys at
+    any height. ridged: sharp crests. billow: round hills between creases."""
     offset: float = key(forms.PER_BATCH, default=0.7, at_least=-100, at_most=100)
-    """The multifractal offset: how much the fine octaves show in the valleys (hetero, hybrid), how
-    high the crests are (ridged)."""
+    """How much fine octaves show in valleys (hetero, hybrid); how high crests are (ridged)."""
     distortion: float = key(forms.PER_BATCH, default=0, at_least=-10, at_most=10)
-    """Domain warp: how far, in units of scale_m, the noise is moved about by another noise."""
+    """Domain warp by another noise, in units of scale_m."""
     distortion_octaves: int = key(forms.WHOLE_PER_BATCH, default=2, at_least=1, at_most=24)
-    """Octaves of the noise that warps; their gain is 1/2."""
+    """Octaves of that noise; gain 1/2."""
     key: int = noise_key()
 
     #: As a relief of a material, at any fineness.

@@ -24,8 +24,8 @@ _BEND, _BENDS = 0.15, 0.7
 
 @dataclass(frozen=True)
 class Polygons:
-    """Patterned ground, as over ice: polygons between troughs with raised shoulders, added to what
-    is there (Mellon et al. 2008).
+    """Patterned ground, as over ice: polygons between troughs with raised shoulders (Mellon et al.
+    2008).
 
     Note: J. Geophys. Res. 113, E00A23: Phoenix's site. Cracks run about half way between the points
     of a cellular noise. Distances to them are half of what the second nearest point is farther away

@@ -42,8 +42,8 @@ class Smooth:
 
 @dataclass(frozen=True)
 class Diffusion:
-    """Hillslope diffusion of what is there: creep that rounds crests and fills hollows, ∂h/∂t =
-    κ∇²h with insulated borders. Exact for any duration; keeps the mean.
+    """Hillslope diffusion, creep that rounds crests and fills hollows: ∂h/∂t = κ∇²h with insulated
+    borders. Exact for any duration; keeps the mean.
 
     Note: Culling 1960. The same step as ``Smooth``, with length_m = sqrt(2 * kappa * t).
     """

@@ -35,8 +35,8 @@ _NEWTON_STEPS = 60
 
 @dataclass(frozen=True)
 class StreamPower:
-    """Hydraulic erosion of what is there: ∂h/∂t = U − K·A^m·S^n + D∇²h with A the drainage area and
-    S the slope. Implicit: any step is stable. Fills depressions.
+    """Hydraulic erosion: ∂h/∂t = U − K·A^m·S^n + D∇²h, A the drainage area and S the slope.
+    Implicit, so any step is stable. Fills depressions.
 
     Note: S is the slope to the receiver. Each step diffuses the hillslopes exactly
     (``Hillslopes``), finds where water runs, and solves the equation of the rivers implicitly from
@@ -62,16 +62,15 @@ class StreamPower:
     }
 
     erodibility: float = key(PER_BATCH, at_least=0, at_most=1_000_000_000)
-    """K, in m^(1−2m) a year: 1e-7 for hard to 1e-4 for soft rock with the default exponents."""
+    """K, in m^(1−2m) a year: by default exponents 1e-7 for hard to 1e-4 for soft rock."""
     duration_a: float = key(PER_BATCH, at_least=0, at_most=100_000_000_000, unit="a")
     """For how long."""
     steps: int | None = key(WHOLE_PER_BATCH, optional=True, at_least=1, at_most=100_000)
-    """Number of equal steps; in each, water finds its way anew. What they err is estimated and
-    reported. With error_m, so many at most (left out, 1024)."""
+    """Number of equal steps, each with new ways of water; their error is estimated and reported.
+    With error_m, at most so many (left out, 1024)."""
     error_m: float | None = key(LENGTH_PER_BATCH, sparse=True, at_least=0, at_most=1_000_000_000)
-    """Error of the steps to aim at, root mean square over the terrain: their number is doubled
-    until the estimate is met. Where neither is given, 5 % of the change that the operator makes, in
-    at most 64 steps."""
+    """Root mean square error of the steps to aim at: their number is doubled until the estimate
+    meets it. With neither given, 5 % of the operator's change, in at most 64 steps."""
     area_exponent: float = key(PER_BATCH, default=0.5, at_least=0, at_most=2)
     """m, of the drainage area."""
     slope_exponent: float = key(PER_BATCH, default=1, at_least=0.2, at_most=5)
@@ -79,7 +78,7 @@ class StreamPower:
     channel_area_m2: float = key(
         PER_BATCH, default=0, at_least=0, at_most=1_000_000_000_000, unit="m²"
     )
-    """Drainage area from which on water cuts; with a diffusivity, slopes above it stay round."""
+    """Drainage area from which water cuts; with a diffusivity, slopes above stay round."""
     diffusivity_m2_per_a: float = key(
         PER_BATCH, default=0, at_least=0, at_most=1_000_000_000, unit="m²/a"
     )

@@ -41,7 +41,7 @@ class Terraces:
     riser: float = key(forms.PER_BATCH, default=0.3, above=0, at_most=1)
     """Part of a layer's thickness that is steep."""
     tread_slope: float = key(forms.FRACTION_PER_BATCH, default=0.2)
-    """Part of their slope that the treads between the steep parts keep; 1 changes nothing."""
+    """Part of their slope that treads keep; 1 changes nothing."""
     irregularity: float = key(forms.FRACTION_PER_BATCH, default=0.5)
     """How uneven the thicknesses of layers are."""
     bend_m: float = key(forms.LENGTH_PER_BATCH, default=0, at_least=0, at_most=1_000_000_000)
@@ -52,8 +52,8 @@ class Terraces:
 
     VARIANTS: ClassVar = {
         "displacement_terraces": {
-            "DESCRIPTION": "Cuts the ground, with what stands before it in the list, into steps, "
-            "as layered rock weathers: level ledges as sharp as the mesh is fine.",
+            "DESCRIPTION": "Cuts the ground, with what stands before it in the list, into steps: "
+            "level ledges as sharp as the mesh is fine.",
             "EXAMPLE": {"type": "terraces", "step_m": 0.08, "riser": 0.2, "irregularity": 0.8},
         }
     }

@@ -25,8 +25,8 @@ _CHUNK = 64
 
 @dataclass(frozen=True)
 class Thermal:
-    """Slopes steeper than the angle of repose slide until they hold, at once and to the end: cliffs
-    become ramps, steep cones flatter ones. Keeps the mean.
+    """Slopes above the angle of repose slide until they hold: cliffs become ramps, steep cones
+    flatter ones. Keeps the mean.
 
     Note: The surface nearest to the heights, in the mean square, that is nowhere too steep.
 

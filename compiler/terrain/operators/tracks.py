@@ -49,7 +49,7 @@ class Wheels(NamedTuple):
 
 @dataclass(frozen=True)
 class Tracks:
-    """Wheel tracks of a rover along a given path, pressed into what is there.
+    """Wheel tracks of a rover along a given path.
 
     Note: The floor of a rut is the ground smoothed over half a wheel's width, ``depth_m`` lower;
     its walls rise over a tenth of the width; beside it stand berms with half of what was displaced.
@@ -67,17 +67,16 @@ class Tracks:
     }
 
     file: Path = key(file("polyline"))
-    """CSV of the path of the rover's middle, columns x_m and y_m: relative to the cfg, or
+    """CSV of the rover's middle, columns x_m and y_m, relative to the cfg, or
     "package:NAME/path"."""
     wheel_distance_m: float = key(forms.LENGTH_PER_BATCH, default=2, above=0, at_most=1000)
     """Between the middles of the left and the right wheels."""
     wheel_width_m: float = key(forms.LENGTH_PER_BATCH, default=0.4, above=0, at_most=1000)
-    """Width of a wheel. Wheels narrower than three spacings leave no track."""
+    """Width of a wheel; below three spacings it leaves no track."""
     depth_m: float = key(forms.LENGTH_PER_BATCH, default=0.04, at_least=0, at_most=1000)
     """How deep wheels sink."""
     grouser_spacing_m: float = key(forms.LENGTH_PER_BATCH, default=0.12, above=0, at_most=1000)
-    """Distance of grousers along the track. Closer than three spacings they leave none of their
-    own."""
+    """Distance of grousers along the track; below three spacings they do not show."""
     grouser_depth_m: float = key(forms.LENGTH_PER_BATCH, default=0.012, at_least=0, at_most=1000)
     """How much deeper grousers press; 0 for smooth wheels."""
     pattern: Literal["bars", "chevrons"] = key(forms.CHOICE, default="bars")

@@ -25,8 +25,7 @@ _SPANS = (0.75, 0.75, 0.4)
 
 @dataclass(frozen=True)
 class Worley(OctaveRelief):
-    """Cellular relief, added to what is there: bumps, pits or polygons around scattered points
-    (Worley 1996).
+    """Cellular relief: bumps, pits or polygons around scattered points (Worley 1996).
 
     Note: amplitude_m * sum of gain**o * F(octave o).
 
@@ -41,19 +40,18 @@ class Worley(OctaveRelief):
     TITLE: ClassVar = "Relief: Worley"
 
     amplitude_m: float = key(forms.LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000)
-    """Height a cell's width away from a feature point (f1) or a border (f2-f1), or of a block as
-    high as a cell is wide; below 0 for pits and ridges."""
+    """Height one cell's width from a feature point (f1) or a border (f2-f1), or of a block as high
+    as a cell is wide; below 0 for pits and ridges."""
     scale_m: float = key(forms.LENGTH_PER_BATCH, above=0, at_most=1_000_000_000)
     """Width of a cell."""
     distance: Literal["f1", "f2-f1", "blocks"] = key(forms.CHOICE, default="f1")
-    """f1: distance to the nearest feature point; f2-f1: how much farther the second nearest is,
-    which is 0 on the cells' borders. blocks: no distance, but the height of the highest of angular
-    blocks with sloping sides and tilted tops, one a cell, and 0 between them: rubble, the clinker
-    of lava."""
+    """f1: distance to the nearest feature point. f2-f1: how much farther the second nearest is; 0
+    on the borders of cells. blocks: angular blocks with sloping sides and tilted tops, one a cell,
+    as in rubble or clinker lava."""
     jitter: float = key(forms.FRACTION_PER_BATCH, default=1)
-    """How far feature points are from a square lattice: 0 on it, 1 anywhere in their cells."""
+    """How far feature points are from a lattice: 0 on it, 1 anywhere in their cells."""
     octaves: int = key(forms.WHOLE_PER_BATCH, default=1, at_least=0, at_most=24)
-    """Number of octaves at most; those finer than the spacing can show are left out."""
+    """Octaves at most; those too fine for the spacing are left out."""
     lacunarity: float = key(forms.LACUNARITY)
     gain: float = key(forms.GAIN)
     key: int = noise_key()

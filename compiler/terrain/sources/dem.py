@@ -63,9 +63,9 @@ class DemWindow:
     )
     """Longitude of the center, to the east."""
     x_m: float | None = key(forms.CONSTANT, optional=True, at_least=-1e12, at_most=1e12, unit="m")
-    """The center's first coordinate in the file's own projected system, in place of a longitude."""
+    """The center's x in the file's projected system, in place of a longitude."""
     y_m: float | None = key(forms.CONSTANT, optional=True, at_least=-1e12, at_most=1e12, unit="m")
-    """The center's second coordinate there, in place of a latitude."""
+    """The center's y there, in place of a latitude."""
 
     @staticmethod
     def check(node: Node) -> Iterator[Finding]:
@@ -108,11 +108,9 @@ class Dem:
 
     file: Path = key(file("dem"))
     """A .npz or .npy file, a raster (GeoTIFF, PDS3, PDS4, ISIS, VRT and others), or a gray picture
-    of 8 or 16 bits: relative to the cfg, or "package:NAME/path" in an installed Python package,
-    where * stands for any part of a name."""
+    of 8 or 16 bits, relative to the cfg, or "package:NAME/path"."""
     array: str | None = key(forms.WORDS, optional=True)
-    """Member of an .npz file, or variable of a NetCDF file; left out, its only two-dimensional
-    one."""
+    """Member of an .npz, variable of a NetCDF file; left out, the only two-dimensional one."""
     pixel_m: float | tuple[float, float] | None = key(
         Form(
             {
@@ -125,8 +123,8 @@ class Dem:
         optional=True,
         unit="m",
     )
-    """Size that a pixel gets: one number, or [x, y]. Left out, that of a raster's coordinates;
-    where these are degrees, heights are laid on the plane that touches the body."""
+    """Size that a pixel gets, one number or [x, y]. Left out, that of the raster; degrees are laid
+    on the plane that touches the body."""
     height_scale: float = key(
         forms.PER_BATCH, default=1, at_least=-1_000_000_000, at_most=1_000_000_000
     )
@@ -144,33 +142,29 @@ class Dem:
     )
     """Added to the scaled heights; null puts their mean at 0."""
     first_row: Literal["north", "south"] = key(forms.CHOICE, default="north")
-    """Whether the first row of a file that does not say so itself is its northern or its southern
-    one."""
+    """Whether the file's first row is the northern or the southern one, where it does not say."""
     center: tuple[float, float] = key(
         list_of(forms.FRACTION_PER_BATCH, "Fraction along one axis.", least=2, most=2),
         default=[0.5, 0.5],
     )
-    """Which point of the DEM lies at the terrain's center, as fractions of its width (from the
-    west) and height (from the south)."""
+    """Point of the DEM at the terrain's center, as fractions of its width (from the west) and
+    height (from the south)."""
     nodata: float | None = key(Form({"type": ["number", "null"]}), optional=True)
-    """Value in the file that marks holes, besides NaN and what the file itself declares. Values
-    that look like an undeclared mark (-32768, -9999 …, far from all other heights) are refused
-    without it, and 0 far from all other samples is warned of; null says that they are heights."""
+    """Value that marks holes, besides NaN and what the file declares. What looks like an undeclared
+    mark (-32768, -9999 …, far from all heights) is refused without it, a far 0 warned of; null:
+    they are heights."""
     band: int | None = key(forms.COUNT, optional=True, at_least=1, at_most=65_535)
-    """Band of a raster that holds the heights, counted from 1. Left out, its only one, not
-    counting alpha."""
+    """Band that holds the heights, from 1. Left out, the only one besides alpha."""
     unit_m: float | None = key(forms.CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
-    """Meters per unit of the file's heights. Left out, what a raster says (m, km, ft, us-ft …, of
-    its band or its vertical axis), else 1. Its own scale and offset are applied before."""
+    """Meters per unit of height, after the file's own scale and offset. Left out, what a raster
+    says (m, km, ft, us-ft …), else 1."""
     window: DemWindow | None = key(an("dem_window", drawn=True), sparse=True)
-    """The part of a GeoTIFF or another raster that is read, and the DEM from then on: center is a
-    place in it. Left out, all of the file."""
+    """Part of a raster that is read in place of all of it; center is then a place in it."""
     edge: Literal["error", "clamp"] = key(forms.CHOICE, default="error")
-    """What happens where the terrain is larger than the DEM: an error, or the border's heights go
-    on."""
+    """Where the terrain exceeds the DEM: an error, or the border's heights go on."""
     holes: Literal["error", "fill"] = key(forms.CHOICE, default="error")
-    """What happens where there is no data under the terrain: an error, or a membrane stretched over
-    the hole (Laplace's equation)."""
+    """Where there is no data under the terrain: an error, or a membrane over the hole (Laplace's
+    equation)."""
     height_range_m: tuple[float, float] | None = key(
         list_of(_HEIGHT, "Height.", least=2, most=2), optional=True, unit="m"
     )

@@ -36,48 +36,46 @@ class Roughness:
     TITLE: ClassVar = "Relief: mesh, roughness"
 
     amplitude_m: float = key(forms.LENGTH_PER_BATCH, at_least=0, at_most=1_000_000)
-    """Of the first octave. Where it is larger than the surface's radius of curvature, the surface
-    can cross itself."""
+    """Of the first octave. Above the surface's radius of curvature, the surface can cross
+    itself."""
     scale_m: float = key(forms.NOISE_SCALE_M)
     octaves: int = key(forms.WHOLE_PER_BATCH, default=8, at_least=0, at_most=24)
-    """Number of octaves at most; those finer than two edges of the mesh are left out. Each is half
-    the size of the one before."""
+    """Octaves at most, each half the size of the one before; those finer than two edges of the mesh
+    are left out."""
     gain: float = key(forms.GAIN)
     key: int = noise_key()
 
 
 @dataclass(frozen=True)
 class MeshBase:
-    """A mesh from a file: the ground itself, overhangs and caves included, or what is seen of it
-    from above. A base. It is scaled, turned, then moved.
+    """A base from a mesh file, scaled, turned, then moved: the ground itself with overhangs and
+    caves, or its surface from above.
     """
 
     EXAMPLE: ClassVar = {"type": "mesh", "file": "photogrammetry.obj", "unit_m": 1, "up": "z"}
 
     file: Path = key(file("mesh"))
-    """A .obj, .ply, .stl, .off, .glb, .gltf, .usd, .usda, .usdc or .usdz file; what a model looks
-    like is not read, buffers beside a .gltf are: relative to the cfg, or "package:NAME/path" in an
-    installed Python package, where * stands for any part of a name."""
+    """A .obj, .ply, .stl, .off, .glb, .gltf, .usd, .usda, .usdc or .usdz file, relative to the cfg,
+    or "package:NAME/path". Its materials are not read."""
     surface: Literal["mesh", "heights"] = key(forms.CHOICE, default="mesh")
-    """What becomes of it. mesh: its triangles are the ground, halved until no edge is longer than
-    the spacing; relief after it moves them up and down, and objects lie on every floor. heights:
-    its topmost surface, sampled on the grid; what is under an overhang is lost, and reported."""
+    """mesh: its triangles are the ground, halved until no edge exceeds the spacing; later relief
+    moves them up and down, objects lie on every floor. heights: its topmost surface on the grid;
+    what is below is lost, and reported."""
     part: str | None = key(forms.WORDS, optional=True)
-    """One of the file's meshes: a name, or a path down to it; what stands under that name comes
-    along. Left out, all of them."""
+    """One of the file's meshes, by a name or a path, with what stands under it. Left out, all."""
     unit_m: float | None = key(forms.CONSTANT, optional=True, above=0, at_most=1_000_000, unit="m")
-    """Meters per unit of the file. Left out, what the file says: 1 in glTF, metersPerUnit in USD;
-    OBJ, PLY, STL and OFF say nothing."""
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = key(forms.CHOICE, optional=True)
-    """The file's upward axis. Left out, what the file says: y in glTF, upAxis in USD; OBJ, PLY, STL
+    """Meters per unit. Left out, what the file says: 1 in glTF, metersPerUnit in USD; OBJ, PLY, STL
     and OFF say nothing."""
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = key(forms.CHOICE, optional=True)
+    """Upward axis. Left out, what the file says: y in glTF, upAxis in USD; OBJ, PLY, STL and OFF
+    say nothing."""
     scale: float = key(forms.PER_BATCH, default=1, above=0, at_most=1_000_000_000)
     """Factor on its size."""
     rotation_deg: float = key(forms.PER_BATCH, default=0, at_least=-360, at_most=360, unit="deg")
     """Turn about the vertical, counterclockwise seen from above."""
     place: Literal["center", "keep"] = key(forms.CHOICE, default="center")
-    """center: the middle of its extent in plan lies at the terrain's center. keep: its coordinates
-    are the terrain's."""
+    """center: its middle in plan lies at the terrain's center. keep: its coordinates are the
+    terrain's."""
     position_m: tuple[float, float, float] = key(
         list_of(
             bounded(forms.LENGTH_PER_BATCH, at_least=-1_000_000_000, at_most=1_000_000_000),
@@ -90,12 +88,10 @@ class MeshBase:
     )
     """Moved by this: x, y, z."""
     holes: Literal["error", "fill"] = key(forms.CHOICE, default="error")
-    """What happens where there is no mesh over or under the terrain: an error; or fill: heights
-    become a membrane there (Laplace's equation). Where surface is mesh, the ground has a hole there
-    all the same."""
+    """Where no mesh is over or under the terrain: an error; or fill, a membrane (Laplace's
+    equation), while the ground of surface mesh keeps its hole."""
     roughness: Roughness | None = key(an("relief_mesh_roughness", drawn=True), optional=True)
-    """Moves the surface along its normals, on walls and ceilings too. Where surface is mesh only.
-    """
+    """Moves the surface along its normals, walls and ceilings too. With surface mesh only."""
 
     #: What a mask is of it.
     VARIANTS: ClassVar = {

@@ -73,7 +73,7 @@ VALUES: dict[str, dict[str, Any]] = {
         "faceVertexCounts": Vt.IntArray([4, 3, 3]),
         "faceVertexIndices": Vt.IntArray([0, 1, 3, 0, 2, 3, 0, 1, 2, 3]),
         "holeIndices": Vt.IntArray([1]),
-        "normals": Vt.Vec3fArray([(0, 1, 1)] * 4),
+        "normals": Vt.Vec3fArray([(0, 0.6, 0.8)] * 4),
         "orientation": "leftHanded",
         "subdivisionScheme": "loop",
         "cornerIndices": Vt.IntArray([4]),

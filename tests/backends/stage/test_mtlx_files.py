@@ -418,3 +418,60 @@ def test_a_surface_of_materialx_that_is_not_read_is_named(tmp_path):
     stage.GetRootLayer().Save()
     (line,) = read_stage(tmp_path / "own.usda").losses
     assert "displayColor is shown: 1 prim, /Root/Look" in line
+
+
+def looks():
+    """Two materials; a look of paths and of a collection, one that inherits it, one of all."""
+    made = document(
+        "standard_surface", {"base": ("float", "1"), "base_color": ("color3", "1, 0, 0")}
+    )
+    blue = add(made, "surfaceshader", "standard_surface", "blue", base=("float", "1"),
+               base_color=("color3", "0, 0, 1"))  # fmt: skip
+    add(made, "material", "surfacematerial", "Blue", surfaceshader=blue)
+    inner = made.addCollection("inner")
+    inner.setIncludeGeom("/b, /deep")
+    inner.setAttribute("excludegeom", "/deep/e")
+    # Names itself: it has no end.
+    inner.setIncludeCollectionString("inner")
+    first = made.addLook("first")
+    first.addMaterialAssign("one", "Look").setGeom("/a, *no path*")
+    first.addMaterialAssign("two", "Blue").setCollectionString("inner")
+    second = made.addLook("second")
+    second.setInheritString("first")
+    second.setGeomPrefix("/deep")
+    second.addMaterialAssign("three", "Look").setGeom("/d")
+    second.addMaterialAssign("lost", "absent").setGeom("/e")
+    made.addLook("all").addMaterialAssign("every", "Blue")
+    return made
+
+
+RED, BLUE, GRAY = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("look", "expected"),
+    [
+        (None, (GRAY,) * 4),
+        ("first", (RED, BLUE, BLUE, GRAY)),
+        ("second", (RED, BLUE, RED, GRAY)),
+        ("all", (BLUE,) * 4),
+    ],
+)
+def test_the_look_that_a_model_chooses_binds_its_materials(tmp_path, look, expected):
+    MaterialX.writeToXmlFile(looks(), str(tmp_path / "look.mtlx"))
+    stage = new_stage(tmp_path / "stage.usda", "/Root")
+    model = stage.DefinePrim("/Root/model", "Xform")
+    model.GetReferences().AddReference("./look.mtlx", "/ModelRoot")
+    if look is not None:
+        model.GetVariantSet("LookVariant").SetVariantSelection(look)
+    for path in ("a", "b", "deep/d", "deep/e"):
+        triangle = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+        polygons(stage, f"/Root/model/{path}", triangle, [3], [0, 1, 2]).CreateDisplayColorAttr(
+            [GRAY]
+        )
+    stage.GetRootLayer().Save()
+    scene = read_stage(tmp_path / "stage.usda")
+    found = {mesh.path: scene.surfaces[mesh.layers[0]].base_color for mesh in scene.meshes}
+    assert tuple(found[f"/Root/model/{p}"] for p in ("a", "b", "deep/d", "deep/e")) == expected
+    told = ["the geometry *no path* of a look" in line for line in scene.losses]
+    assert any(told) == (look in ("first", "second"))

@@ -171,7 +171,7 @@ REFUSED = {
     "stereo": ({"cameraProjectionType": "omniDirectionalStereo"}, "more than one eye"),
     "k3": ({f"{OMNI}model": "kannalaBrandtK3"}, "opencvFisheye has the same terms"),
     "prism": (newer("opencvPinhole", {"s1": 0.5}), r"thin prism.*move pixels by up to"),
-    "wide pinhole": (polynomial((0.0, 0.05, -6e-4), fov=0.0), "do not grow with the distance"),
+    "wide pinhole": (polynomial((0.0, 0.05, -6e-4), fov=360.0), "do not grow with the distance"),
     "kink": (polynomial((0.0, 0.015, 2e-4)), r"off by up to .* pixels, at most 0\.5 are taken"),
     "flat": (polynomial((0.0, 0.0)), "do not grow with the distance"),
     "far": (polynomial((0.0, 0.01), fthetaCx=1e9), r"1e\+09 pixels from the optical center"),
@@ -188,6 +188,7 @@ def test_a_lens_that_none_is_like_is_refused_by_name(tmp_path, name):
 UNSOUND = {
     "missing": ({"cameraProjectionType": "pinholeOpenCV"}, "fthetaWidth is not authored, expected"),
     "flat": (polynomial((0.0, 0.02), fthetaHeight=0.0), "fthetaHeight: is 0, expected a number"),
+    "no view": (polynomial((0.0, 0.02), fov=0.0), "fthetaMaxFov: is 0, expected a number above 0"),
     "a word": (polynomial((0.0, 0.02), fthetaCx="left"), "fthetaCx: .*expected a finite number"),
 }
 

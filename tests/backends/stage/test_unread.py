@@ -166,7 +166,7 @@ def waving(found):
 def offset_normals(stage):
     shape = UsdSkel.BlendShape.Define(stage, "/Root/it")
     shape.CreateOffsetsAttr([(0, 0, 1)])
-    shape.CreateNormalOffsetsAttr([(1, 0, 0)])
+    shape.CreateNormalOffsetsAttr([(1, 0, 0)] * 2)
 
 
 def skinned_cube(stage):
@@ -176,11 +176,6 @@ def skinned_cube(stage):
 def recolored(found):
     for time in range(2):
         found.CreateDisplayColorAttr().Set([(time, 0, 0)], time)
-
-
-def corner_normals(found):
-    found.CreateNormalsAttr([(0, 0, 1)] * 4)
-    found.SetNormalsInterpolation("faceVarying")
 
 
 def unsaid(found):
@@ -293,9 +288,8 @@ LOSSES = {
     "blend": (mesh(blended), "a skinned mesh whose skeleton"),
     "clear": (mesh(lambda m: m.CreateDisplayOpacityAttr([0.5])), "displayOpacity is no blend"),
     "cage": (mesh(unsaid), "normals of a mesh without a subdivisionScheme"),
-    "normals": (mesh(corner_normals), "normals of face corners"),
     "waves": (mesh(waving), "a shape that deforms stands still"),
-    "bent normals": (offset_normals, "normalOffsets of a BlendShape are not followed"),
+    "bent normals": (offset_normals, "normalOffsets of another number than a BlendShape"),
     "bones": (skinned_cube, "a skinned shape that is no mesh"),
     "flicker": (mesh(recolored), "primvars that change"),
     "mesh light": (
@@ -352,6 +346,7 @@ HARMLESS_OPINIONS = {
     "one color": mesh(lambda m: m.CreateDisplayColorPrimvar("vertex").Set([(0.5, 0, 0)] * 4)),
     "normals": mesh(lambda m: m.CreateNormalsAttr([(0, 0, 1)] * 4)),
     "lat-long": light("DomeLight", "inputs:texture:format", "latlong"),
+    "no cone": light("DistantLight", "inputs:shaping:cone:angle", 180.0),
     "shadow": light("SphereLight", "inputs:shadow:enable", True),
     "stops": camera("exposure", 2.0),
     "clipping": camera("clippingRange", Gf.Vec2f(0.1, 10.0)),

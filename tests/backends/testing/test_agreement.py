@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
 from scenec.backends.registry import open_backend
+from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene, Surface
 from scenec.backends.testing import lights, looks
 from scenec.backends.testing.scenes import (
     affine,
+    at_samples,
     dome,
     icosphere,
+    lighting_of,
     look_at,
     mesh,
     plane,
@@ -23,7 +28,10 @@ from scenec.backends.testing.scenes import (
     sun,
     surface,
 )
+from scenec.compiler.compile import compile_cfg
 from scenec.testing.extras import needs
+from scenec.testing.leaves import card, packed_card
+from scenec.testing.small import write_cfg
 
 
 def halves(name: str, made: RenderScene, spp: int) -> NDArray:
@@ -142,3 +150,69 @@ def test_all_three_agree_on_rocks_by_lamplight():
     # It leaves out what surfaces throw on: little at such an albedo.
     assert means["pyrender"] == pytest.approx(means["cycles"], rel=0.02)
     assert np.abs(got["mitsuba"] - got["cycles"]).mean() < 0.1 * means["cycles"]
+
+
+#: Colors in sRGB and (occlusion, roughness, metal) of four strips; tiles have two of them each.
+STRIPS = np.array([[200, 60, 40], [60, 160, 70], [70, 90, 200], [220, 180, 80]], np.uint8)
+PACKED = np.array([[255, 230, 0], [10, 128, 0], [90, 90, 255], [0, 153, 255]], np.uint8)
+
+
+def packed_scenes(folder: Path) -> dict[str, tuple[RenderScene, list[float]]]:
+    """Cards with tiles of packed pictures, of a cfg's models and of a stage; where they stand."""
+    for name, strips in (("color", STRIPS), ("packed", PACKED)):
+        pixels = np.repeat(strips, 16, axis=0)[None].repeat(32, axis=0)
+        Image.fromarray(pixels).save(folder / f"{name}.png")
+        for tile, half in enumerate(np.split(pixels, 2, axis=1)):
+            Image.fromarray(half).save(folder / f"{name}.{1001 + tile}.png")
+    tiled = packed_card(folder / "tiled.usda", "{}.<UDIM>.png", (2.0, 1.0))
+    packed_card(folder / "packed.glb", "{}.png", (1.0, 1.0))
+    cfg = card(tiled, poses=[{"x_m": -1.2, "y_m": 0}])
+    cfg["objects"]["other"] = cfg["objects"]["leaf"] | {
+        "models": [{"file": "packed.glb"}],
+        "poses": [{"x_m": 1.2, "y_m": 0}],
+    }
+    compile_cfg(write_cfg(folder, cfg), seed=1, out=folder / "out")
+    ours = read_stage(folder / "out" / "batch_0000" / "stage.usda")
+    return {"cfg": (ours, [-1.2, 1.2]), "stage": (read_stage(tiled), [0.0])}
+
+
+def strips_in_numbers() -> RenderScene:
+    """The strips of the card as boards of their own, without pictures."""
+    codes = STRIPS / 255.0
+    linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+    boards, surfaces = [], []
+    for i, (color, (_, rough, metal)) in enumerate(zip(linear.tolist(), PACKED / 255, strict=True)):
+        left = -1.0 + 0.5 * i
+        right = left + 0.5
+        corners = np.array([[left, 0, 0], [right, 0, 0], [right, 0, 2.0], [left, 0, 2.0]])
+        boards.append(mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), (i,)))
+        surfaces.append(Surface("", tuple(color), 0.04, rough, 0.0, metal))
+    return scene(boards, surfaces, rows=[(i, affine()) for i in range(4)])
+
+
+def strip_means(backend: str, made: RenderScene, middles: list[float]) -> NDArray:
+    """Mean radiance of each strip of cards that stand at these places, [strips, 3]."""
+    light = lighting_of([sun(40.0, -60.0, 500.0, 3.0), dome(40.0)])
+    made = at_samples(made, [light], look_at((0, -6, 1), (0, 0, 1), 120, 60, 50.0))
+    picture, means = halves(backend, made, 64).mean(axis=0), []
+    focal = 60.0 / np.tan(np.radians(25.0)) / 6.0
+    for left in (x - 1.0 + 0.5 * i for x in middles for i in range(4)):
+        columns = slice(*np.rint(60.0 + focal * (left + np.array([0.12, 0.38]))).astype(int))
+        # The upper part: what the ground sends up is not in the preview.
+        means.append(picture[14:28, columns].mean(axis=(0, 1)))
+    return np.array(means)
+
+
+@needs("cycles", "bpy")
+@pytest.mark.parametrize("name", ["cfg", "stage"])
+def test_all_three_agree_on_tiles_and_packed_maps(tmp_path, name):
+    made, middles = packed_scenes(tmp_path)[name]
+    mitsuba, cycles, pyrender = (
+        strip_means(backend, made, middles) for backend in ("mitsuba", "cycles", "pyrender")
+    )
+    np.testing.assert_allclose(cycles, mitsuba, rtol=0.01)
+    np.testing.assert_allclose(pyrender, mitsuba, rtol=0.02)
+    if name == "stage":
+        np.testing.assert_allclose(
+            mitsuba, strip_means("mitsuba", strips_in_numbers(), middles), rtol=0.01
+        )
