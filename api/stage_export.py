@@ -111,6 +111,8 @@ class StageExport[Facts: (SiteFacts, TrackFacts)](ABC):
             )
             shutil.rmtree(self.partial, ignore_errors=True)
             return self._report(old)
+        if any((batch.folder / LEFT_OUT).is_file() for batch in self.batches):
+            self.options.listener.warn(_PRUNED)
         made = {batch.name: self._batch(batch) for batch in self.batches}
         content = {
             "format": self.format,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,8 +68,7 @@ def placed(in_file: bool) -> Iterator[None]:
     except CfgError as error:
         if in_file:
             raise
-        faults = [f if f.file != _PYTHON else replace(f, line=0, column=0) for f in error.faults]
-        raise CfgError(faults) from None
+        raise error.unplaced(_PYTHON) from None
 
 
 def source_of(cfg: AnyCfg) -> tuple[Path | str, bytes | None]:

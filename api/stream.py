@@ -128,8 +128,8 @@ class StreamFrame:
         return self["depth"]
 
     @property
-    def labels(self) -> dict[str, NDArray[np.uint16]]:
-        """Holds the ids of each level of labels, uint16 [h, w]; ``loaded.labels`` names them."""
+    def labels(self) -> dict[str, NDArray[np.uint32]]:
+        """Holds the ids of each level of labels, uint32 [h, w]; ``loaded.labels`` names them."""
         levels = (name for name in self.passes if name.startswith(f"{LABEL}."))
         return {name.removeprefix(f"{LABEL}."): self.passes[name] for name in levels}
 

@@ -110,13 +110,12 @@ class Progress(StepProgress):
     def __call__(self, done: int, total: int, text: str) -> None:
         """Reports that ``done`` of ``total`` steps are finished; ``text`` is about the last one."""
         stop_if_pending()
-        rate = self._rate(done)
-        left = (total - done) / rate if rate > 0.0 else 0.0
+        self._report(done, text)
         if self._terminal:
-            self._bar(done, total, rate, left, text)
+            self._bar(done, total, text)
         elif done == total or time.perf_counter() - self._told >= self._every_s:
             self._told = time.perf_counter()
-            say(f"{self._what} {done}/{total}, {self._speed(rate)}, {_span(left)} left: {text}")
+            say(f"{self._what} {done}/{total}{self._forecast(done, total)}: {text}")
 
     def now(self, done: int, total: int, text: str) -> None:
         """Says what is going on between two steps: beside the bar, or once a second in a line."""
@@ -125,26 +124,29 @@ class Progress(StepProgress):
             self._said = time.perf_counter()
             say(text)
         if self._terminal:
-            start, first = self._reports[0]
-            elapsed = time.perf_counter() - start
-            rate = (done - first) / elapsed if elapsed > 0.0 else 0.0
-            left = (total - done) / rate if rate > 0.0 else 0.0
             self._told = 0.0
-            self._bar(done, total, rate, left, text, last=False)
+            self._bar(done, total, text, last=False)
 
-    def _rate(self, done: int) -> float:
-        """Steps a second over the last reports."""
-        if len(self._reports) == 1 and done > 1:
-            # Whatever was finished before the first report cost none of our time.
+    def _report(self, done: int, text: str) -> None:
+        """Notes when a step was finished."""
+        if text.endswith(THERE):
+            # It cost none of our time.
+            self._reports.clear()
+        elif len(self._reports) == 1 and done > self._reports[0][1] + 1:
+            # Nor did whatever was finished before the first report.
             self._reports[0] = (self._reports[0][0], done - 1)
         self._reports.append((time.perf_counter(), done))
-        start, first = self._reports[0]
-        elapsed = self._reports[-1][0] - start
-        return (done - first) / elapsed if elapsed > 0.0 else 0.0
 
-    def _bar(
-        self, done: int, total: int, rate: float, left: float, text: str, last: bool = True
-    ) -> None:
+    def _forecast(self, done: int, total: int) -> str:
+        """Steps a second over the last reports, and what is left; "" while that is a guess."""
+        start, first = self._reports[0]
+        elapsed = time.perf_counter() - start
+        if done == first or elapsed <= 0.0 or (done - first < _SURE and elapsed < _SURE_S):
+            return ""
+        rate = (done - first) / elapsed
+        return f", {self._speed(rate)}, {_span((total - done) / rate)} left"
+
+    def _bar(self, done: int, total: int, text: str, last: bool = True) -> None:
         last &= done == total
         now = time.perf_counter()
         if not last and now - self._told < _REDRAW_S:
@@ -153,8 +155,7 @@ class Progress(StepProgress):
         columns = shutil.get_terminal_size((118, 24)).columns - 1
         filled = round(24 * done / total) if total else 24
         bar = "█" * filled + "░" * (24 - filled)
-        speed = f", {self._speed(rate)}, {_span(left)} left" if rate > 0.0 else ""
-        line = f"{self._what} {bar} {done}/{total}{speed}: {text}"
+        line = f"{self._what} {bar} {done}/{total}{self._forecast(done, total)}: {text}"
         _Bar.open = not last
         sys.stderr.write("\r" + line[:columns].ljust(columns) + ("\n" if last else ""))
         sys.stderr.flush()
@@ -165,6 +166,10 @@ class Progress(StepProgress):
         return f"{1.0 / rate:.3g} s a {self._unit}"
 
 
+#: Ends what is said of a step that an earlier run has made.
+THERE = "there already"
+#: So many steps, or seconds of fewer, tell how long the rest takes.
+_SURE, _SURE_S = 3, 30.0
 #: Reports that speed is taken over.
 _WINDOW = 32
 #: Seconds between two plain lines about what is going on.

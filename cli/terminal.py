@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -93,6 +94,9 @@ class Terminal(Listener):
                 f"{name}: {sum(seconds.values()):.1f} s ({steps}); positions in float32: "
                 f"{precision_text(precision)}"
             )
+        for left in batch.left_out:
+            if left.what.startswith("light/"):
+                say(f"{name}: warning: {left.what} is left out: {left.why}")
         off = precision.float32_error_max_px
         if off is not None and off > WARN_PX:
             say(
@@ -131,7 +135,7 @@ class Terminal(Listener):
         if report.failed:
             say(f"{len(report.failed)} scans were given up; run again to try them again")
         rest = f", {report.skipped} were there already" if report.skipped else ""
-        where = f": {report.scans[0].parent}/" if report.scans else ""
+        where = _folder_of(report.scans)
         say(f"{report.made} scans made{self._spent(report.seconds)}{rest}{where}")
 
     def rendered(self, report: RenderReport) -> None:
@@ -142,12 +146,27 @@ class Terminal(Listener):
             say(f"{report.refused} frames were refused by {report.backend}: see the warnings")
         if lost := len(report.failed) - report.refused:
             say(f"{lost} frames were given up; run again to try them again")
-        made = next((stem for stem in report.frames if stem.with_suffix(".exr").exists()), None)
-        where = "" if made is None else f": {made.parent}/"
+        where = _folder_of(report.frames)
         say(f"{report.rendered} frames rendered{self._spent(report.seconds)}{there}{where}")
 
     def _spent(self, seconds: dict[str, float]) -> str:
         return f" in {sum(seconds.values()):.1f} s" if self._verbose else ""
+
+
+def _folder_of(stems: Sequence[Path]) -> str:
+    """Says in which folder files lie; where they are several, with * for what differs."""
+    folders = [path for path in dict.fromkeys(stem.parent for stem in stems) if path.is_dir()]
+    parts = [set(part) for part in zip(*(folder.parts for folder in folders), strict=False)]
+    named = [*map(_common, parts)]
+    return f": {Path(*named)}/" if named else ""
+
+
+def _common(names: set[str]) -> str:
+    """Returns a name of several folders, as batch_* of batches."""
+    if len(names) == 1:
+        return names.pop()
+    begins = {name.rpartition("_")[0] for name in names}
+    return f"{begins.pop()}_*" if len(begins) == 1 and "" not in begins else "*"
 
 
 def compile_json(report: CompileReport) -> dict[str, object]:

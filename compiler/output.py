@@ -139,10 +139,14 @@ class Output:
         if gone and not may_replace:
             raise OutputError(
                 f"{out}: holds {_described(out, gone)}, {other or 'which this cfg has no more'}; "
-                "--replace throws that away, or choose another folder"
+                "--replace makes them anew and keeps frames of stages that stay the same, or "
+                "choose another folder"
             )
         if gone:
-            say(f"replacing {_described(out, gone)} in {out}")
+            say(
+                f"replacing {_described(out, gone)} in {out}; frames of stages that stay the same "
+                "are kept"
+            )
         paths = {b.path for b in kept}
         self._stale = bool(other)
         files = {p: e for p, e in old.files.items() if p.partition("/")[0] in paths or p == CFG}

@@ -57,6 +57,7 @@ class SheetFrame:
         instance: Ids [h, w], or None.
         depth: Meters [h, w], +inf where nothing was hit, or None.
         clean: A sensor's picture without noise, like ``picture``, or None.
+        tracks: ``picture`` with point tracks on it, or None.
         measured: What a depth camera said, meters [h, w], 0 without an answer, or None.
         motion: Flow, scene flow, disparity and occlusion by their passes' names.
         terrain: Slope and what places are to a vehicle, by their passes' names.
@@ -68,6 +69,7 @@ class SheetFrame:
     instance: NDArray[np.unsignedinteger] | None
     depth: NDArray[np.floating] | None
     clean: NDArray[np.uint8] | None = None
+    tracks: NDArray[np.uint8] | None = None
     measured: NDArray[np.floating] | None = None
     motion: Mapping[str, NDArray] = field(default_factory=dict)
     terrain: Mapping[str, NDArray] = field(default_factory=dict)
@@ -79,9 +81,10 @@ TERRAIN: Mapping[str, Callable[[NDArray], NDArray[np.uint8]]] = {
     "traversable": paint_classes,
 }
 #: Columns of photographs: they alone may be blended.
-_PHOTOGRAPHS = ("rgb", "clean")
+_PHOTOGRAPHS = ("rgb", "clean", "tracks")
 _TITLES = {
-    "rgb": "RGB", "clean": "RGB without noise", "instance": "instances", "depth": "depth (planar)",
+    "rgb": "RGB", "clean": "RGB without noise", "tracks": "point tracks (a ring: hidden)",
+    "instance": "instances", "depth": "depth (planar)",
     "depth_measured": "depth as measured", "flow": "flow", "flow_backward": "flow, backward",
     "scene_flow": "scene flow", "disparity": "disparity", "occlusion": "occlusion",
     "slope": "slope of the ground", "traversable": "for the sensor's vehicle",
@@ -144,6 +147,7 @@ def contact_sheet(
 def _columns(frame: SheetFrame) -> list[str]:
     columns = ["rgb"] if frame.picture is not None else []
     columns += ["clean"] if frame.clean is not None else []
+    columns += ["tracks"] if frame.tracks is not None else []
     columns += [f"label.{level}" for level in frame.labels]
     columns += ["instance"] if frame.instance is not None else []
     columns += ["depth"] if frame.depth is not None else []
@@ -189,6 +193,8 @@ def _paint(
         return frame.picture
     if column == "clean" and frame.clean is not None:
         return frame.clean
+    if column == "tracks" and frame.tracks is not None:
+        return frame.tracks
     if column in frame.motion:
         return _paint_motion(column, frame.motion[column], scales.get(column, 1.0))
     if column in frame.terrain:

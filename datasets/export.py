@@ -36,6 +36,7 @@ from scenec.datasets.export_records import (
     TASKS,
     Records,
     TaskRecord,
+    differences,
     is_done,
     read_export,
 )
@@ -51,6 +52,7 @@ from scenec.schemas.errors import FrameError, OutputError
 from scenec.schemas.files import check_writable, sha256, tree, write_json
 from scenec.schemas.lock import LOCK, Lock
 from scenec.schemas.plugins import blaming
+from scenec.schemas.spelling import shown
 from scenec.schemas.units import Executor, Progress, Say, run_all
 from scenec.schemas.update import finish_update, reading, replace_files
 
@@ -189,9 +191,30 @@ def _export(
         _finish(plan, partial, report, say)
     for what, number in report.left_out.items():
         say(f"warning: left out: {number} {what}")
+    if report.held.get("annotations") == 0:
+        say(f"warning: {_why_none(plan, report)}")
     for what, one in report.narrowed.items():
         say(f"warning: {one.text(what, plan.format().mend(one.most))}")
     return report
+
+
+def _why_none(plan: Plan, report: ExportReport) -> str:
+    """Says why a dataset holds nothing of what its format is for, and the mend."""
+    tally = report.tally
+    if not tally.seen:
+        return (
+            "0 annotations: no frame shows an instance: classes of objects have them unless the "
+            'cfg says "instances": false, ground and sky none (--format panoptic holds both)'
+        )
+    if not tally.kept:
+        by = ", ".join(f"{name} rejects {count:,}" for name, count in tally.rejected.items())
+        return f"0 annotations: --keep leaves none of {tally.seen:,} instances ({by})"
+    others = [level for level in plan.info.labels if level != plan.info.level]
+    mend = f"take another level (--level {'|'.join(others)}) or " if others else ""
+    return (
+        f"0 annotations: no instance has a label on the level {plan.info.level!r}; {mend}give the "
+        f'classes "labels": {{{shown(plan.info.level)}: NAME}} in the cfg'
+    )
 
 
 def _written(
@@ -235,8 +258,8 @@ def _already_there(plan: Plan, replace: bool) -> ExportReport | None:
         return report
     if not replace:
         raise OutputError(
-            f"{folder}: holds another dataset (of other frames, or made in another way); choose "
-            "another folder with -o, or give --replace"
+            f"{folder}: holds another dataset: {differences(plan, written)}; choose another folder "
+            "with -o, or give --replace"
         )
     return None
 

@@ -15,6 +15,7 @@ from scenec.datasets.source import FrameFault
 from scenec.schemas.codec import JSON, Facts, JsonObject, Natural, decode, encode, natural, rest
 from scenec.schemas.errors import OutputError
 from scenec.schemas.files import as_json, inside, read_json, write_json
+from scenec.schemas.spelling import shown
 
 EXPORT = "export.json"
 #: Version of what stands in ``export.json``.
@@ -26,6 +27,8 @@ INDEX_COLUMNS = (
 
 #: Folders of an export that is being made: its tasks' records, what they share, the dataset.
 TASKS, SCRATCH, DATA = "tasks", "scratch", "data"
+#: More of them are counted.
+_SAID_DIFFERENCES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +91,32 @@ def read_export(path: Path) -> ExportRecord:
             f"{path}: is of version {version}, and this scenec knows {EXPORT_VERSION}"
         )
     return decode(found, ExportRecord, OutputError, f"{path}: is no {what}")
+
+
+def differences(plan: Plan, written: ExportRecord) -> str:
+    """Names what a dataset was made of or with that the plan is not, three things at most."""
+    was, now = (_flat(one) for one in (encode(written), {**plan.key(), "source": plan.origin()}))
+    told = [
+        f"{name} is {shown(was.get(name))}, not {shown(now[name])}"
+        for name in now
+        # Of these the dataset states what came of them.
+        if name not in ("splits", "faults") and was.get(name) != now[name]
+    ]
+    if len(told) > _SAID_DIFFERENCES:
+        told[_SAID_DIFFERENCES:] = [f"{len(told) - _SAID_DIFFERENCES} more differ"]
+    planned = sum(map(len, plan.frames().values()))
+    if planned != written.frames:
+        told.append(f"it has {written.frames} frames, not {planned}")
+    return ", ".join(told) or "its frames were made anew since, or are others"
+
+
+def _flat(values: Facts) -> dict[str, JSON]:
+    """Returns what stands in objects by its path, as ``options.images``."""
+    flat: dict[str, JSON] = {}
+    for key, value in values.items():
+        below = _flat(value) if isinstance(value, dict) else None
+        flat |= {key: value} if not below else {f"{key}.{name}": v for name, v in below.items()}
+    return flat
 
 
 def record_path(partial: Path, task: Task) -> Path:

@@ -7,7 +7,7 @@ Every message is one that can be acted on without reading the code. The command 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 
@@ -48,6 +48,12 @@ class CfgError(ScenecError):
     def __reduce__(self) -> tuple[type[CfgError], tuple[tuple[Fault, ...]]]:
         """Between processes it goes with its faults."""
         return CfgError, (self.faults,)
+
+    def unplaced(self, file: str) -> CfgError:
+        """Returns it without lines and columns in a text that nobody has seen."""
+        return CfgError(
+            [f if f.file != file else replace(f, line=0, column=0) for f in self.faults]
+        )
 
 
 class SceneError(ScenecError):

@@ -73,6 +73,8 @@ CONVENTIONS = {
     "sun": "the brightest distant light of the sample: elevation above the horizon and compass "
     "bearing of the light itself, clockwise from +Y (north) to +X, degrees; irradiance on a "
     "surface facing it, linear Rec.709, W/m^2; null without one",
+    "visibility_m": "meters over which haze leaves 2 % of contrast, by its extinction of luminance"
+    " at z = 0; not there without haze",
     "height_above_surface_m": "from the camera straight down to the first surface, meters; null "
     "where there is none",
     "sky": "pixels that show no surface; how many of them look below the horizontal plane and have "

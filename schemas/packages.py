@@ -35,9 +35,29 @@ def file_around(path: Path) -> Path:
     return Path(_split(path)[0])
 
 
+def in_package(package: str, name: str) -> Path:
+    """Returns the path of a file in a package as its root layer names it."""
+    return Path(f"{package}[{name.removeprefix('./')}]")
+
+
 def packaged_name(path: Path) -> str:
     """Returns the name of a file, whether in a package or not."""
     return PurePosixPath(_split(path)[-1]).name
+
+
+def beside(path: Path) -> list[Path]:
+    """Lists what stands in the same folder as a file or, of one in a package, in that package."""
+    if not is_packaged(path):
+        return [*path.parent.iterdir()] if path.parent.is_dir() else []
+    *outer, member = _split(path)
+    depth = len(outer)
+    before, after = str(path)[: -len(member) - depth], "]" * depth
+    try:
+        whole = packaged_bytes(Path(before[:-1] + after[:-1])) if depth > 1 else None
+        with zipfile.ZipFile(outer[0] if whole is None else io.BytesIO(whole)) as archive:
+            return [Path(before + name + after) for name in archive.namelist()]
+    except (zipfile.BadZipFile, OSError, ValueError):
+        return []
 
 
 def packaged_bytes(path: Path) -> bytes:

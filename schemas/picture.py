@@ -30,6 +30,8 @@ BLACK, BURNT = 2, 254
 BLACK_SHARE, BURNT_SHARE = 0.999, 0.5
 #: Weights of linear Rec.709 in luminance.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+#: -ln 0.02: over the visibility, contrast falls to 2 % (Koschmieder 1924).
+KOSCHMIEDER = 3.912
 
 #: What sidecars say about the pictures beside them.
 DESCRIPTION = (
@@ -42,6 +44,18 @@ DESCRIPTION = (
 def luminance(rgb: NDArray[np.floating]) -> NDArray[np.float64]:
     """Returns Rec.709 luminance of linear colors [..., 3]; of float32 ones in float32."""
     return LUMINANCE[0] * rgb[..., 0] + LUMINANCE[1] * rgb[..., 1] + LUMINANCE[2] * rgb[..., 2]
+
+
+def visibility_m(extinction: NDArray[np.floating]) -> float | None:
+    """Returns how far one sees through haze: contrast has then fallen to 2 % (Koschmieder 1924).
+
+    None: there is none.
+
+    Args:
+        extinction: Per meter, linear Rec.709 [3].
+    """
+    found = float(luminance(extinction))
+    return KOSCHMIEDER / found if found > 0.0 else None
 
 
 def tone_map(radiance: NDArray[np.floating], exposure_ev: float = 0.0) -> NDArray[np.float64]:

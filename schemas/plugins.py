@@ -40,6 +40,13 @@ KINDS = {
     "scenec.scans": "scan pattern",
 }
 
+#: The same, with what is no kind.
+_ALL = KINDS | {
+    "scenec.passes": "pass",
+    "scenec.exporters": "format",
+    "scenec.backends": "backend",
+}
+
 #: What marks, in a field's metadata, a key of the cfg, and what is made of where it stands.
 KEY, GIVEN = "scenec.key", "scenec.given"
 #: Hexadecimal digits that a digest of code is stated by.
@@ -60,6 +67,17 @@ def entry_points_of(group: str, name: str) -> tuple[EntryPoint, ...]:
 def names_of(group: str) -> tuple[str, ...]:
     """All names in a group, sorted."""
     return tuple(sorted(_offered(group, tuple(sys.path))))
+
+
+def installed() -> dict[str, list[str]]:
+    """Returns what other packages offer, by package: each with what it is called and its name."""
+    found: dict[str, list[str]] = {}
+    for group, title in _ALL.items():
+        for name in names_of(group):
+            for point in entry_points_of(group, name):
+                whose = f"{point.dist.name} {point.dist.version}" if point.dist else point.module
+                found.setdefault(whose, []).append(f"{title} {name}")
+    return found
 
 
 def origin(group: str, name: str) -> str:

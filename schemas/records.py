@@ -358,6 +358,7 @@ class FrameRecord:
         partner: Name of the camera that disparity goes to; None where that is not rendered, unset
             without one.
         sun: None without a sun.
+        visibility_m: Through haze, at z = 0 (``schemas.picture.visibility_m``); None without any.
         png: Whether there is a picture.
         half: Where ``rgb`` is written as half floats.
         instances: Prim path of each class, and the id before its first.
@@ -413,6 +414,7 @@ class FrameRecord:
     annotation: Mapping[str, str | None] | None = omitted()
     height_above_surface_m: float | Unset | None = UNSET
     sky: SkyPixels | None = omitted()
+    visibility_m: float | None = omitted()
     haze: HazePixels | None = omitted()
     samples_per_pixel: Natural | None = omitted()
     samples_dropped: int | None = omitted()

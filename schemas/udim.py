@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenec.schemas.maps import LARGEST
+from scenec.schemas.packages import beside, is_packaged
 
 #: What stands for the number of a tile in a path.
 UDIM = "<UDIM>"
@@ -30,14 +31,12 @@ def is_tiled(path: Path | str) -> bool:
 
 def tiles_of(path: Path) -> dict[Place, Path]:
     """The tiles that are there, by their places, in their order; empty where there are none."""
-    if not path.parent.is_dir():
-        return {}
-    before, _, after = path.name.partition(UDIM)
+    before, _, after = str(path).partition(UDIM)
     pattern = re.compile(f"{re.escape(before)}(1[0-9]{{3}}){re.escape(after)}")
     numbers = {}
-    for file in path.parent.iterdir():
-        match = pattern.fullmatch(file.name)
-        if match and int(match[1]) > 1000 and file.is_file():
+    for file in beside(path):
+        match = pattern.fullmatch(str(file))
+        if match and int(match[1]) > 1000 and (is_packaged(file) or file.is_file()):
             numbers[int(match[1]) - 1001] = file
     return {(n % _COLUMNS, n // _COLUMNS): numbers[n] for n in sorted(numbers)}
 

@@ -50,7 +50,7 @@ _LISTED = {tuple(BUILT_IN): "[output](#outputs)", tuple(PRESETS): "[preset](pres
 #: A space at which no line breaks.
 _KEPT = "\u00a0"
 #: So many keys at most are a list and no table.
-_FEW = 3
+_FEW = 5
 
 
 def make() -> str:

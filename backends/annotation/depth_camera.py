@@ -11,8 +11,8 @@ Time of flight. A pixel adds up light that left in phase and comes back with the
 the range is told modulo c / (2 f) (Lange and Seitz, IEEE J. Quantum Electronics 37 (2001) 390). In
 sunlight the noise of the phase goes inversely with the amplitude that comes back, and that with
 cos(angle of incidence) / r^2, so a range has the deviation s (r / r0)^2 / cos. A pixel gathers from
-a spot: the phasors of its neighborhood are added by their amplitudes, which at outlines gives
-ranges between the two ("flying pixels"). Albedo is taken as even, and light that comes back by way
+a Gaussian spot: the phasors of its neighborhood are added by amplitude and share, which at outlines
+gives ranges between the two ("flying pixels"). Albedo is taken as even, and light that comes by way
 of other surfaces is left out.
 """
 
@@ -207,13 +207,15 @@ def measure_time_of_flight(
 
 
 def _spot(blur_px: float) -> NDArray[np.float64]:
-    """Weights of a spot along one axis, which add up to 1; out to three deviations."""
+    """Shares of a Gaussian spot in pixels along one axis, out to three deviations (99.7 %)."""
+    # Imported here: few cameras need it.
+    from scipy.special import ndtr
+
     half = math.ceil(3.0 * blur_px)
     if half == 0:
         return np.ones(1)
-    at = np.arange(-half, half + 1) / blur_px
-    weights = np.exp(-0.5 * at * at)
-    return np.asarray(weights / weights.sum())
+    shares = np.diff(ndtr((np.arange(-half, half + 2) - 0.5) / blur_px))
+    return np.asarray(shares / shares.sum())
 
 
 def measure(picture: Picture) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from scenec.schemas.codec import UNSET
 from scenec.schemas.frames import FRAME_VERSION, LENS_CONVENTION, SHUTTER_CONVENTION
 from scenec.schemas.lens import KANNALA_BRANDT, Lens
 from scenec.schemas.passes import origins
-from scenec.schemas.picture import luminance
+from scenec.schemas.picture import luminance, visibility_m
 from scenec.schemas.records import (
     NOT_WRITTEN,
     FrameRecord,
@@ -56,6 +56,7 @@ def describe_frame(
 ) -> FrameRecord:
     """Returns what the stage says of a frame; no file is vouched for yet."""
     partner = None if camera.partner is None else partner_name(scene, camera)
+    haze = scene.haze[sample] if scene.haze else None
     return FrameRecord(
         version=FRAME_VERSION,
         camera=camera.name,
@@ -74,6 +75,7 @@ def describe_frame(
         labels=label_names(scene),
         sky_labels=scene.sky_labels,
         sun=sun_record(scene.lighting[sample]),
+        visibility_m=None if haze is None else visibility_m(haze.extinction),
         instances=scene.instance_paths,
         backend=renderer.backend,
         backend_version=renderer.version,

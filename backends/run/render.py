@@ -116,6 +116,8 @@ def render(
             batches = [
                 replace(b, folder=plan.folder if single else plan.folder / b.name) for b in batches
             ]
+        elif not out.is_dir():
+            say(f"frames go into {batches[0].folder / FRAMES}/, beside {out.name}")
         report = RenderReport(backend=plan.backend, choice=choice)
         manifest = read_manifest(out) if out.is_dir() else None
         opened = {opening_of(batch, plan): batch for batch in batches}

@@ -185,7 +185,9 @@ def _write_variant(stage: Usd.Stage, look: Any) -> None:
     variants.ClearVariantSelection()
 
 
-def _gather(collection: Usd.CollectionAPI, element: Any, lines: list[str], seen: set[str]) -> None:
+def _gather(
+    collection: Usd.CollectionAPI, element: Any, lines: list[str], visited: set[str]
+) -> None:
     """Adds the geometry of an assignment, or of a collection that it names, to a collection."""
     prefix, into = element.getActiveGeomPrefix(), collection.CreateIncludesRel()
     for attribute in ("geom", "includegeom", "excludegeom"):
@@ -198,8 +200,8 @@ def _gather(collection: Usd.CollectionAPI, element: Any, lines: list[str], seen:
                 lines.append(f"the geometry {path} of a look is no path, and has not its material")
     for name in _listed(element, "collection") + _listed(element, "includecollection"):
         found = element.getDocument().getCollection(name)
-        if found is not None and name not in seen:
-            _gather(collection, found, lines, seen | {name})
+        if found is not None and name not in visited:
+            _gather(collection, found, lines, visited | {name})
 
 
 def _listed(element: Any, attribute: str) -> list[str]:

@@ -103,11 +103,24 @@ def split_points(read: MeshPolygons, poses: Sequence[ShapePose]) -> SplitPoints 
         return None
     vertex = read.indices.astype(np.int64)
     for normals in (pose.normals for pose in poses if pose.normals is not None):
-        # Sorted by point and by the bits of normals; 0 and -0 are one.
-        columns = (normals + np.float32(0.0)).view(np.int32).T
-        order = np.lexsort((*columns, vertex))
-        rows = np.stack([vertex, *columns])[:, order]
-        new = np.append(True, (rows[:, 1:] != rows[:, :-1]).any(axis=0))[: len(order)]
-        vertex[order] = np.cumsum(new) - 1
-    _, corner = np.unique(vertex, return_index=True)
-    return SplitPoints(vertex.astype(np.int32), corner, read.indices[corner])
+        # Told apart by their bits; 0 and -0 are one.
+        bits = (normals + np.float32(0.0)).view(np.int32)
+        other = np.flatnonzero((bits != bits[_first_corners(vertex)[vertex]]).any(axis=1))
+        if not len(other):
+            continue
+        order = other[np.lexsort((*bits[other].T, vertex[other]))]
+        rows = np.column_stack([vertex[order], bits[order]])
+        new = np.append(True, (rows[1:] != rows[:-1]).any(axis=1))
+        vertex[order] = vertex.max() + np.cumsum(new)
+    first = _first_corners(vertex)
+    used = first >= 0
+    indices = (np.cumsum(used, dtype=np.int32) - 1)[vertex]
+    return SplitPoints(indices, first[used], read.indices[first[used]])
+
+
+def _first_corners(vertex: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first corner of each vertex; -1 of one without any."""
+    first = np.full(int(vertex.max(initial=-1)) + 1, -1)
+    # Of what is assigned to one place, the last stays.
+    first[vertex[::-1]] = np.arange(len(vertex))[::-1]
+    return first

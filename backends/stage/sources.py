@@ -20,6 +20,7 @@ from scenec.schemas.files import sha256
 from scenec.schemas.manifest import MANIFEST, digest_of_files, files_of_stage
 from scenec.schemas.native import commentary, native_reading
 from scenec.schemas.omnipbr import as_preview_surface
+from scenec.schemas.packages import in_package
 from scenec.schemas.udim import is_tiled, tiles_of
 
 #: Lines of one error.
@@ -158,11 +159,13 @@ class Sources:
         specs = attribute.GetPropertyStack(time)
         layer = next((spec.layer for spec in specs if spec.HasInfo("default")), specs[0].layer)
         file = Path(layer.ComputeAbsolutePath(path))
+        if layer.realPath.lower().endswith(".usdz"):
+            file = in_package(layer.realPath, path)
         tiles = tiles_of(file)
         if not tiles:
             self.miss(f"{attribute.GetPath()}: {path} has no tiles")
             return None
-        self._beside.update(map(str, tiles.values()))
+        self._beside.update(_package(str(tile)) for tile in tiles.values())
         return file
 
     def translated(self, material: UsdShade.Material) -> UsdShade.Material:

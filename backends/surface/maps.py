@@ -91,7 +91,7 @@ def load_map(
     found = udim.tiles_of(path)
     if not found:
         raise StageError(f"{path}: no tile of the map is there")
-    stamps = tuple(stamp(file) for file in found.values())
+    stamps = tuple(stamp(file_around(file)) for file in found.values())
     return _atlas(path, kind, flip_green, reading, stamps)
 
 

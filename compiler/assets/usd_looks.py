@@ -17,8 +17,9 @@ from scenec.compiler.assets.usd import TIME
 from scenec.compiler.geometry import affine
 from scenec.compiler.scene.material import Cutout
 from scenec.schemas.omnipbr import as_preview_surface, mdl_shader
-from scenec.schemas.packages import is_packaged, packaged_bytes, packaged_name
+from scenec.schemas.packages import in_package, is_packaged, packaged_bytes, packaged_name
 from scenec.schemas.stage import LOSSES, OPACITY_THRESHOLD
+from scenec.schemas.udim import is_tiled, tiles_of
 
 _KINDS = {
     "base_color": "diffuseColor", "roughness": "roughness", "metallic": "metallic",
@@ -175,6 +176,10 @@ class UsdLooks:
 
     def _picture(self, asset: Sdf.AssetPath) -> Source:
         package, inner = Sdf.Layer.SplitIdentifier(asset.path)[0], Path(asset.resolvedPath)
+        if is_tiled(package) and self._file.suffix.lower() == ".usdz":
+            tiles = in_package(str(self._file), package)
+            if tiles_of(tiles):
+                return tiles
         if is_packaged(inner):
             try:
                 return embedded(packaged_bytes(inner))

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 from scenec.compiler.kinds import schema
 from scenec.schemas.codec import Facts, JsonObject
+from scenec.schemas.errors import CfgError
+from scenec.schemas.spelling import nearest
 
 if TYPE_CHECKING:
     from scenec.compiler.cfg.load import Spec
@@ -33,6 +35,18 @@ class Part:
 
     #: The key ``type`` (or ``version``) and its one value, where there is one.
     _CONST: tuple[tuple[str, Any], ...] = ()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Sets a key.
+
+        Raises:
+            AttributeError: There is none of this name.
+        """
+        known = self.__dataclass_fields__  # type: ignore[attr-defined]
+        if name not in known:
+            kind = type(self).__name__
+            raise AttributeError(f"{kind} has no key {name!r}{nearest(name, known)}")
+        super().__setattr__(name, value)
 
     def as_json(self) -> Facts:
         """Returns its value in a cfg: the keys that are given, in the schema's order."""
@@ -71,7 +85,11 @@ class CompleteCfg(Part):
         # Imported here: it takes longer than all of this module.
         from scenec.compiler.cfg.load import load
 
-        return load(Path(folder) / "cfg", text=self.text().encode())
+        path = Path(folder) / "cfg"
+        try:
+            return load(path, text=self.text().encode())
+        except CfgError as error:
+            raise error.unplaced(str(path)) from None
 
 
 def read(path: Path | str) -> Any:

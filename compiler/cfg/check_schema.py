@@ -110,7 +110,12 @@ def _choice(choices: Sequence[Any], field: Field) -> str:
         return "a name that an installed package offers, and none does"
     expected = "one of " + ", ".join(values) if len(values) > 1 else values[0]
     guess = isinstance(field.value, str) and closest(field.value, values)
-    return expected + (f"; did you mean {shown(guess)}?" if guess else "")
+    if guess:
+        return f"{expected}; did you mean {shown(guess)}?"
+    if "x-open" not in field.keywords:
+        return expected
+    installed = ", ".join(names_of(field.keywords["x-open"])) or "none"
+    return f"{expected}; others come from plug-ins, of installed ones {installed} (scenec doctor)"
 
 
 def _bound(words: str) -> Callable[[Any, Field], str]:

@@ -14,6 +14,7 @@ from scenec.compiler.cfg.check_numbers import check_number
 from scenec.compiler.cfg.check_schema import check_schema
 from scenec.compiler.cfg.faults import locate
 from scenec.compiler.cfg.fill import Cfg, fill
+from scenec.compiler.cfg.magnitudes import unusual
 from scenec.compiler.cfg.slips import improbable
 from scenec.compiler.cfg.sources import folder_of, located, mixed, read
 from scenec.compiler.distributions.numbers import Distribution
@@ -43,7 +44,8 @@ class Spec:
         text: The cfg as JSON, with all that it extends and its settings.
         is_verbatim: Whether that is the file's own bytes.
         settings: What was set over it.
-        warnings: Values that can be and are probably a slip; files of unsound geometry.
+        warnings: Values that can be and are probably a slip, or leave nothing to see; files of
+            unsound geometry.
         plugins: Packages of the kinds that are not scenec's own (``schema.origins``).
         folder: What its files are relative to.
     """
@@ -105,7 +107,7 @@ def load(path: FilePath | str, settings: Sequence[str] = (), text: bytes | None 
     plugins = schema.origins(fields)
     digest = digest_of(filled, files, plugins)
     told = [finding for finding in (*mixes, *file_findings) if finding.is_warning]
-    warnings = tuple(sorted(locate([*improbable(fields), *told], document)))
+    warnings = tuple(sorted(locate([*improbable(fields), *unusual(cfg), *told], document)))
     return Spec(
         filled,
         path,

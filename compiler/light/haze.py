@@ -11,9 +11,7 @@ from scenec.compiler.kinds import Context, Finding, Form, bounded, forms, key, l
 from scenec.compiler.kinds.node import Node, black, is_black
 from scenec.compiler.light.latlong import luminance
 from scenec.compiler.scene.light import Haze
-
-#: -ln 0.02: over the visibility, contrast falls to 2 % (Koschmieder 1924).
-KOSCHMIEDER = 3.912
+from scenec.schemas.picture import KOSCHMIEDER
 
 
 def _rgb(most: float, unit: str | None = None, what: str = "Linear") -> Form:

@@ -116,9 +116,11 @@ class SunEphemeris:
         places = [*zip(latitudes.tolist(), longitudes.tolist(), strict=True)]
         radius = ephemeris.BODY_RADII_KM[self.body]
 
-        def seen(over: list[Overhead]) -> list[InSky]:
+        def in_sky(over: list[Overhead]) -> list[InSky]:
             pairs = zip(over, places, strict=True)
-            found = [ephemeris.in_sky(at, north, east, radius) for at, (north, east) in pairs]
+            return [ephemeris.in_sky(at, north, east, radius) for at, (north, east) in pairs]
+
+        def turned(found: list[InSky]) -> list[InSky]:
             return [replace(s, azimuth_deg=ephemeris.turned(s.azimuth_deg, axes)) for s in found]
 
         suns = [ephemeris.sun_over(self.body, time) for time in times]
@@ -126,7 +128,8 @@ class SunEphemeris:
         au = np.array([one.distance_km / ephemeris.AU_KM for one in overhead])
         given = drawn.get("irradiance", SOLAR_IRRADIANCE / (au * au))
         color = drawn.get("color", np.ones((context.samples, 3)))
-        disc = _disc(seen(overhead), ephemeris.SUN_RADIUS_KM, given, color)
+        of_sun = in_sky(overhead)
+        disc = _disc(turned(of_sun), ephemeris.SUN_RADIUS_KM, given, color)
         clocks = tuple(
             SolarTime(
                 body=self.body,
@@ -143,7 +146,7 @@ class SunEphemeris:
             "time_utc": [clock.time_utc for clock in clocks],
             "latitude_deg": latitudes.tolist(),
             "longitude_deg": longitudes.tolist(),
-            **_facts(disc, overhead),
+            **_facts(disc, of_sun, overhead),
             "distance_au": au.tolist(),
             "solar_time_h": [clock.solar_time_h for clock in clocks],
             "mean_solar_time_h": [clock.mean_solar_time_h for clock in clocks],
@@ -154,14 +157,14 @@ class SunEphemeris:
             return SunTrack(disc, {}, facts)
         usual, earths = Earthshine(), [ephemeris.earth_over_moon(time) for time in times]
         phase = np.array([one.phase_deg for one in earths])
-        above = seen([one.overhead for one in earths])
-        far = np.array([one.distance_km for one in above])
+        of_earth = in_sky([one.overhead for one in earths])
+        far = np.array([one.distance_km for one in of_earth])
         albedo = np.full(context.samples, usual.geometric_albedo)
         given = earthshine_irradiance(phase, SOLAR_IRRADIANCE / (au * au), albedo, far)
         color = np.tile(np.array(usual.color, np.float64), (context.samples, 1))
-        earth = _disc(above, ephemeris.EARTH_RADIUS_KM, given, color)
+        earth = _disc(turned(of_earth), ephemeris.EARTH_RADIUS_KM, given, color)
         facts["earth"] = {
-            **_facts(earth, [one.overhead for one in earths]),
+            **_facts(earth, of_earth, [one.overhead for one in earths]),
             "phase_deg": phase.tolist(),
             "irradiance": given.tolist(),
         }
@@ -220,11 +223,12 @@ def _disc(
     )
 
 
-def _facts(disc: SunDisc, overhead: list[Overhead]) -> dict[str, list[float]]:
-    """Where a disc stands, and over which place it is in the zenith."""
+def _facts(disc: SunDisc, in_sky: list[InSky], overhead: list[Overhead]) -> dict[str, list[float]]:
+    """Says where a disc stands, and over which place it is in the zenith."""
     return {
         "elevation_deg": disc.elevation_deg.tolist(),
         "azimuth_deg": disc.azimuth_deg.tolist(),
+        "azimuth_from_north_deg": [one.azimuth_deg for one in in_sky],
         "diameter_deg": disc.diameter_deg.tolist(),
         "overhead_latitude_deg": [one.latitude_deg for one in overhead],
         "overhead_longitude_deg": [one.longitude_deg for one in overhead],

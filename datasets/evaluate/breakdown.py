@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,8 +26,9 @@ class Attribute:
         unit: Of the edges; empty for shares.
         what: One line.
         edges: Ascending; a bin holds its upper edge and not its lower one.
-        key: Where COCO annotations have it; empty for what their image has.
+        key: Where COCO annotations have it, or of a whole picture, ``images``.
         column: Its name in ``scenec.datasets.filters``; empty for what is no instance's.
+        of: What the whole picture has, by its sidecar; None where it is not the same all over.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Attribute:
     edges: tuple[float, ...]
     key: str = ""
     column: str = ""
+    of: Callable[[FrameRecord], float] | None = None
 
     @property
     def count(self) -> int:
@@ -60,7 +62,21 @@ class Attribute:
 
 _QUARTERS = (0.0, 0.25, 0.5, 0.75)
 
-SUN = Attribute("sun", "deg", "elevation of the sun above the horizon", (0, 5, 10, 20, 30, 45, 60))
+
+def sun_elevation(record: FrameRecord) -> float:
+    """Degrees; NaN where there is no sun or the sidecar does not say."""
+    return record.sun.elevation_deg if record.sun else float("nan")
+
+
+def visibility(record: FrameRecord) -> float:
+    """Meters through the haze at z = 0; NaN where there is none or the sidecar does not say."""
+    return float("nan") if record.visibility_m is None else record.visibility_m
+
+
+SUN = Attribute(
+    "sun", "deg", "elevation of the sun above the horizon", (0, 5, 10, 20, 30, 45, 60),
+    "sun_elevation_deg", of=sun_elevation,
+)  # fmt: skip
 DISTANCE = Attribute(
     "distance", "m", "depth along the optical axis",
     (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000), "depth", "depth_mean",
@@ -82,6 +98,10 @@ ATTRIBUTES = {
             "truncation", "", QUANTITIES["truncation"][0], _QUARTERS, "truncation", "truncation"
         ),
         SUN,
+        Attribute(
+            "visibility", "m", "how far haze lets one see, where there is any",
+            (50, 100, 200, 500, 1000, 2000, 5000, 10000), "visibility_m", of=visibility,
+        ),
     )
 }  # fmt: skip
 
@@ -115,11 +135,6 @@ def parse_bins(texts: Sequence[str]) -> dict[str, Attribute]:
     return found
 
 
-def sun_elevation(record: FrameRecord) -> float:
-    """Degrees; NaN where there is no sun or the sidecar does not say."""
-    return record.sun.elevation_deg if record.sun else float("nan")
-
-
 def pixel_bins(frame: LoadedFrame, attributes: Attributes) -> dict[str, NDArray[np.int64]]:
     """Bin of each pixel [h, w] for each attribute that the frame has; -1 for none.
 
@@ -128,8 +143,8 @@ def pixel_bins(frame: LoadedFrame, attributes: Attributes) -> dict[str, NDArray[
     shape = (frame.height, frame.width)
     result: dict[str, NDArray[np.int64]] = {}
     for name, one in attributes.items():
-        if one is attributes[SUN.name]:
-            values = np.full(shape, sun_elevation(frame.sidecar))
+        if one.of is not None:
+            values = np.full(shape, one.of(frame.sidecar))
         elif name == DISTANCE.name:
             if "depth" not in frame.passes:
                 continue

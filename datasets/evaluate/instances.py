@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.datasets.evaluate.breakdown import SUN, Attribute, Attributes, filled
+from scenec.datasets.evaluate.breakdown import Attribute, Attributes, filled
 from scenec.datasets.evaluate.evaluation import Cell, Evaluation, Table
 from scenec.schemas.codec import JsonObject
 from scenec.schemas.errors import OutputError
@@ -150,15 +150,15 @@ def _by_bin(
     max_detections: int,
 ) -> Table | None:
     """Measures by bins; None where the truth has the attribute of no object, or as no number."""
-    light = one.name == SUN.name
+    whole = one.of is not None
     try:
         of_image = {
-            image["id"]: float(image.get("sun_elevation_deg", np.nan)) if light else np.nan
+            image["id"]: float(image.get(one.key, np.nan)) if whole else np.nan
             for image in truth["images"]
         }
         values = [
             # Parts have none of what is known of whole objects alone.
-            of_image[a["image_id"]] if light else float(a.get(one.key, np.nan))
+            of_image[a["image_id"]] if whole else float(a.get(one.key, np.nan))
             for a in truth["annotations"]
         ]
     except (TypeError, ValueError):
@@ -180,7 +180,7 @@ def _by_bin(
         ],
     }
     image_bins = dict(zip(of_image, one.numbers(np.array(list(of_image.values()))), strict=True))
-    areas = [image_bins[d["image_id"]] if light else np.nan for d in detections]
+    areas = [image_bins[d["image_id"]] if whole else np.nan for d in detections]
     judge = _judge(numbered, detections, kind, max_detections, areas, shown.tolist())
     rows: list[tuple[Cell, ...] | None] = [None] * one.count
     for at, number in enumerate(shown.tolist()):

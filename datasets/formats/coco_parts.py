@@ -76,7 +76,7 @@ def place_picture(frame: LoadedFrame, path: Path, how: str) -> bool:
 
 def image_entry(frame: LoadedFrame, number: int, file_name: str) -> JsonObject:
     """A frame's line of ``images``: what COCO has, then what else is known of it."""
-    sun = frame.sidecar.sun
+    sun, seen_m = frame.sidecar.sun, frame.sidecar.visibility_m
     return {
         "id": number,
         "file_name": file_name,
@@ -87,6 +87,7 @@ def image_entry(frame: LoadedFrame, number: int, file_name: str) -> JsonObject:
         "sample": frame.ref.sample,
         "time_s": frame.time_s,
         **({"sun_elevation_deg": sun.elevation_deg} if sun else {}),
+        **({} if seen_m is None else {"visibility_m": seen_m}),
         "intrinsics": frame.intrinsics.tolist(),
         **frame.optics,
         "camera_to_world": frame.camera_to_world.tolist(),

@@ -164,7 +164,9 @@ class Euroc(Format):
         return self.info.rigs.of(task.frames[0].batch_name).get(str(task.place[0]))
 
     def remarks(self, splits: Mapping[str, Sequence[FrameRef]]) -> Iterator[str]:
-        """Says that IMUs are left out where stamps are no times."""
+        """Says that pictures turn gray, and that IMUs are left out where stamps are no times."""
+        if self.option("pictures") == "gray":
+            yield "pictures are written in gray, as EuRoC's are; --set pictures=color keeps color"
         if self.option("times") == "samples":
             yield trajectory.NO_IMUS
 

@@ -412,7 +412,11 @@ class _SplitTables:
             near = [annotations[row[side]] for side in ("prev", "next") if row[side]]
             # Of an object that is annotated once nobody knows.
             if near:
-                name = "object.moving" if any(moved(row, one) for one in near) else "object.still"
+                place, attitude = row["translation"], row["rotation"]
+                moves = (
+                    moved(place, attitude, one["translation"], one["rotation"]) for one in near
+                )
+                name = "object.moving" if any(moves) else "object.still"
                 made = self._put("attribute", name, name=name, description=_ATTRIBUTES[name])
                 row["attribute_tokens"] = [made["token"]]
         return {
@@ -422,12 +426,19 @@ class _SplitTables:
         }
 
 
-def moved(row: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Tells whether two annotations of an object differ in place or attitude."""
-    off = np.subtract(row["translation"], other["translation"])
+def moved(
+    place: Sequence[float],
+    attitude: Sequence[float],
+    other_place: Sequence[float],
+    other_attitude: Sequence[float],
+) -> bool:
+    """Tells whether two annotations of an object differ in place or attitude (quaternions)."""
+    off = np.subtract(place, other_place)
     # Half the angle's sine, of quaternions that may differ in sign.
-    turn = min(np.abs(np.subtract(row["rotation"], np.multiply(other["rotation"], sign))).max()
-               for sign in (1.0, -1.0))  # fmt: skip
+    turn = min(
+        np.abs(np.subtract(attitude, np.multiply(other_attitude, sign))).max()
+        for sign in (1.0, -1.0)
+    )
     return bool(np.abs(off).max() > _MOVED or turn > 0.5 * _MOVED)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -161,11 +162,13 @@ def main(page: Page) -> None:
     spp = 2 if page.fast else page.options.spp
     if not only or _slug(YARD_TITLE) in only:
         yard(page, assets, spp)
+    # That of textures is written by hand.
+    page.rows(None)
     for title, of in GROUPS.items():
         chosen = [a for label in of for a in assets.values() if a.label == label]
         page.rows([
-            f"`{a.name}`", a.about, " × ".join(f"{v:.2f}" for v in a.size_m), f"{a.triangles:,}",
-            a.label,
+            f"`{a.name}`", re.split("[:;] ", a.about)[0], "×".join(f"{v:.2f}" for v in a.size_m),
+            f"{a.triangles:,}",
         ] for a in chosen)  # fmt: skip
         if not only or _slug(title) in only:
             contact_sheet(page, title, chosen, spp)

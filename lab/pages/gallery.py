@@ -3,10 +3,10 @@
     python lab/pages/gallery.py [--only CFG] [--spp 64] [--keep FOLDER] [-o FOLDER] [--fast]
 
 Photographs are 1280 × 720, as Mitsuba draws them and Open Image Denoise leaves them; the first of
-each cfg has one of its label levels below it. The README's picture is the contact sheet of
-jacksboro's samples, as ``make demo`` makes it with fewer samples per pixel. Needs the extras
-"mitsuba", "denoise" and "demo"; takes some quarter of an hour on two cores. With --keep, compiled
-stages and frames stay in FOLDER, and frames that are there are not made again.
+each cfg has one of its label levels below it. The README's are a row of these, and the contact
+sheet of jacksboro's samples, as ``make demo`` makes it with fewer samples per pixel. Needs the
+extras "mitsuba", "denoise" and "demo"; takes some quarter of an hour on two cores. With --keep,
+compiled stages and frames stay in FOLDER, and frames that are there are not made again.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from scenec.schemas.frames import Frame
 FIRST, ROWS = "jacksboro", 4
 WIDTH, HEIGHT = 1280, 720
 _LABELS, _LEGEND = (640, 360), 26
+#: What the README shows first, and the size of each.
+WORLDS, _TILE = ("landing_site", "lunar_mare", "volcanic_desert", "meadow_edge"), (400, 225)
 
 
 @dataclass(frozen=True)
@@ -92,20 +94,41 @@ def views(page: Page, name: str, folder: Path, spp: int) -> None:
 
 
 def with_names(frame: Frame, level: str) -> Image.Image:
-    """Labels of a level in colors, and below them their names."""
+    """Labels of a level in colors, and below them their names, in as many rows as they take."""
     ids = frame.passes[f"label.{level}"]
     of = {int(i): name for i, name in frame.sidecar.labels[level].items()}
-    colors = label_colors(list(of))
+    colors, font = label_colors(list(of)), ImageFont.load_default(14)
     width, height = _LABELS
-    sheet = Image.new("RGB", (width, height + _LEGEND), PAPER)
+    places, x, y = [], 0, height
+    for number, name in sorted(of.items()):
+        if np.any(ids == number):
+            wide = 22 + round(font.getlength(name))
+            if x + wide > width:
+                x, y = 0, y + _LEGEND
+            places.append((x, y, number, name))
+            x += wide + 12
+    sheet = Image.new("RGB", (width, y + _LEGEND), PAPER)
     # Ids must not be blended.
     sheet.paste(labels(frame, level).resize(_LABELS, Image.Resampling.NEAREST), (0, 0))
-    draw, font, x = ImageDraw.Draw(sheet), ImageFont.load_default(14), width
-    for number, name in reversed([(i, n) for i, n in sorted(of.items()) if np.any(ids == i)]):
-        x -= round(draw.textlength(name, font))
-        draw.text((x, height + 6), name, INK, font)
-        draw.rectangle((x - 22, height + 8, x - 6, height + 21), colors[number])
-        x -= 34
+    draw = ImageDraw.Draw(sheet)
+    for x, y, number, name in places:
+        draw.text((x + 22, y + 6), name, INK, font)
+        draw.rectangle((x, y + 8, x + 16, y + 21), colors[number])
+    return sheet
+
+
+def worlds(folder: Path) -> Image.Image:
+    """Some of the pictures beside each other, their labels below."""
+    width, height = _TILE
+    sheet = Image.new("RGB", (len(WORLDS) * width, 2 * height), PAPER)
+    for column, name in enumerate(WORLDS):
+        with Image.open(folder / f"gallery_{name}_{ENTRIES[name].samples[0]}.jpg") as picture:
+            tile = picture.resize(_TILE, Image.Resampling.LANCZOS)
+            sheet.paste(tile, (column * width, 0))
+        with Image.open(folder / f"gallery_{name}_labels.png") as painted:
+            tile = painted.convert("RGB").crop((0, 0, *_LABELS))
+            tile = tile.resize(_TILE, Image.Resampling.NEAREST)
+            sheet.paste(tile, (column * width, height))
     return sheet
 
 
@@ -123,6 +146,8 @@ def main(page: Page) -> None:
         path = write_sheet(out, page.scratch / "sheet.png", count=ROWS).path
         with Image.open(path) as sheet:
             save(sheet.convert("RGB"), page.folder / "pictures" / f"{FIRST}.png")
+    if not options.only:
+        save(worlds(page.folder / "pictures"), page.folder / "pictures" / "worlds.jpg")
 
 
 if __name__ == "__main__":

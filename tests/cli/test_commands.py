@@ -372,3 +372,12 @@ def test_run_makes_all_that_a_cfg_asks_for_scans_too(tmp_path, capsys):
 def test_v_is_taken_before_and_after_the_command(words, capsys):
     assert main(words) == 0
     assert re.search(r"^[\d.]+ s, [\d.]+ CPU s, [\d.]+ GiB at most", capsys.readouterr().err, re.M)
+
+
+def test_a_moonless_night_is_warned_of(tmp_path, capsys):
+    cfg = small_and_fast()
+    cfg["light"]["sun"] = {"elevation_deg": -30}
+    path = write_cfg(tmp_path, cfg)
+    said = output_of(capsys, ["compile", str(path), "--seed", "1", "-o", str(tmp_path / "out")]).err
+    assert "/light/sun/elevation_deg: -30° is below the horizon: no sunlight falls" in said
+    assert "warning: light/sun is left out: below the horizon at every sample" in said

@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+from scenec.backends.run.render import RenderReport
 from scenec.cli import output
 from scenec.cli.main import main
 from scenec.cli.output import Progress, say
@@ -57,9 +58,39 @@ def test_slow_steps_are_told_in_seconds_each(clock, capsys):
 
 def test_what_was_there_before_the_first_report_is_not_speed(clock, capsys):
     progress = Progress("exported", unit="step")
-    clock.now += 1.0
-    progress(901, 1000, "x")
-    assert "1 steps/s, 99 s left" in capsys.readouterr().err
+    for done in (901, 902, 903):
+        assert "left" not in capsys.readouterr().err
+        clock.now += 1.0
+        progress(done, 1000, "x")
+    assert "1 steps/s, 97 s left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("folders", "told"),
+    [
+        (["batch_0000/frames/m/rover_left"], "batch_0000/frames/m/rover_left/"),
+        (["b_0/frames/m/rover_left", "b_1/frames/m/rover_right"], "b_*/frames/m/rover_*/"),
+        (["b_0/frames/m/rover_left", "b_0/frames/m/uav_down"], "b_0/frames/m/*/"),
+    ],
+)
+def test_all_folders_of_frames_are_named(folders, told, tmp_path, capsys):
+    for folder in folders:
+        (tmp_path / folder).mkdir(parents=True)
+    stems = [tmp_path / folder / f"{sample:06d}" for folder in folders for sample in range(2)]
+    Listening().rendered(RenderReport(stems=stems, made=len(stems)))
+    assert capsys.readouterr().err == f"{len(stems)} frames rendered: {tmp_path}/{told}\n"
+
+
+def test_what_is_there_already_is_no_speed(clock, capsys):
+    progress = Progress("frame")
+    clock.now += 9.0
+    for done in range(1, 11):
+        progress(done, 20, f"batch_0000/rover/{done:06d}: there already")
+    for done in range(11, 14):
+        assert "left" not in capsys.readouterr().err
+        clock.now += 2.0
+        progress(done, 20, "rendered")
+    assert "frame 13/20, 2 s a frame, 14 s left: rendered" in capsys.readouterr().err
 
 
 def test_speed_follows_a_change_of_speed(clock, capsys):

@@ -219,6 +219,28 @@ def test_instances_without_a_label_are_left_out_and_counted(tmp_path):
     assert json.loads((tmp_path / "set" / "export.json").read_text())["left_out"] == report.left_out
 
 
+@pytest.mark.parametrize(
+    ("instance", "label", "choice", "why"),
+    [
+        (0, 2, {}, "no frame shows an instance: .*--format panoptic"),
+        (8, 0, {}, "no instance has a label on the level 'class'; .*--level surface.*in the cfg"),
+        (
+            8,
+            3,
+            {"filters": make_filters(["area>=99"])},
+            r"--keep leaves none of 1 instances \(area>=99 rejects 1\)",
+        ),
+    ],
+)
+def test_no_annotations_come_with_the_reason(tmp_path, instance, label, choice, why):
+    passes = blank(6, 6)
+    passes["instance"][:3], passes["label.class"][:3] = instance, label
+    out = make_output(tmp_path / "out", lambda _: passes, batches=1, cameras=("c",), samples=1)
+    said: list[str] = []
+    export(out, "coco", tmp_path / "set", Choice(**choice), say=said.append)
+    assert any(re.search(f"warning: 0 annotations: {why}", line) for line in said), said
+
+
 def test_labels_that_are_left_out_take_their_instances_along(output, tmp_path):
     coco = coco_of(output, tmp_path / "set", remap=parse_remap({"class": {"rock": None}}))
     assert coco.dataset["annotations"] == []

@@ -218,6 +218,7 @@ def test_stamps_that_are_numbers_of_samples_leave_imus_out_and_say_so(made, tmp_
     mav0 = tmp_path / "d/all/batch_0000_rover/mav0"
     assert not list(mav0.glob("imu*"))
     assert any("what IMUs read has no place" in line for line in said)
+    assert any("in gray, as EuRoC's are; --set pictures=color" in line for line in said)
     assert np.abs(truth(mav0).poses_se3[1] - camera_pose(LEFT, 1)).max() < 1e-14
 
 

@@ -150,7 +150,13 @@ def document(objects: list[tuple[int, float]], sun: list[float]) -> dict[str, An
         )
     return {
         "images": [
-            {"id": i, "width": 100, "height": 100, "sun_elevation_deg": angle}
+            {
+                "id": i,
+                "width": 100,
+                "height": 100,
+                "sun_elevation_deg": angle,
+                "visibility_m": 10 * angle,
+            }
             for i, angle in enumerate(sun, 1)
         ],
         "categories": [{"id": 1, "name": "rock"}],
@@ -176,9 +182,11 @@ def test_parts_count_by_hand(tmp_path):
     # recall of 1/2 far (COCO samples recall at 101 places, 51 of which are up to there).
     assert near["ap"] == pytest.approx(2 / 3)
     assert far["ap"] == pytest.approx(0.5 * 51 / 101)
-    # By light, it counts with its picture.
+    # By light and haze, it counts with its picture.
     assert rows(result, "sun")["20 to 30 deg"]["ap"] == pytest.approx(1.0)
     assert rows(result, "sun")["0 to 5 deg"]["ap"] == 0.0
+    assert rows(result, "visibility")["200 to 500 m"]["ap"] == pytest.approx(1.0)
+    assert rows(result, "visibility")["to 50 m"]["ap"] == 0.0
     assert result.measures["bbox_ar_100"] == 0.75
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -120,8 +121,13 @@ def test_another_dataset_in_the_folder_is_replaced_only_when_asked(
     folder = tmp_path / "ds"
     shutil.copytree(dataset, folder)
     other = Choice(options={"ending": "txt"})
-    with pytest.raises(OutputError, match="--replace"):
-        export(output, "tiny", folder, other)
+    for choice, told in (
+        (other, 'options.ending is null, not "txt"'),
+        (Choice(cameras=["rover_left"]), "it has 8 frames, not 4"),
+        (Choice(filters=make_filters(["area>=5"])), 'keep is [], not ["area>=5"]'),
+    ):
+        with pytest.raises(OutputError, match=f"another dataset: {re.escape(told)}; .*--replace"):
+            export(output, "tiny", folder, choice)
     assert contents(folder) == contents(dataset)
     export(output, "tiny", folder, other, replace=True)
     assert len(list(folder.rglob("*.txt"))) == 8

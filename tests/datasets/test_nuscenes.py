@@ -216,14 +216,15 @@ def test_attributes_say_what_moves_and_nothing_of_what_is_annotated_once(nusc):
     for row in nusc.sample_annotation:
         names = [nusc.get("attribute", token)["name"] for token in row["attribute_tokens"]]
         assert names == (["object.still"] if row["prev"] or row["next"] else [])
-    once = [{"translation": [0.0, 0, 0], "rotation": [1.0, 0, 0, 0]}] * 2
-    for key, value, moves in (
-        ("translation", [0.002, 0, 0], True),
-        ("translation", [0.0005, 0, 0], False),
-        ("rotation", [-1.0, 0, 0, 0], False),
-        ("rotation", Quaternion(axis=[0, 0, 1], radians=0.002).elements.tolist(), True),
+    still = [0.0, 0, 0], [1.0, 0, 0, 0]
+    turned = Quaternion(axis=[0, 0, 1], radians=0.002).elements.tolist()
+    for place, attitude, moves in (
+        ([0.002, 0, 0], still[1], True),
+        ([0.0005, 0, 0], still[1], False),
+        (still[0], [-1.0, 0, 0, 0], False),
+        (still[0], turned, True),
     ):
-        assert moved(once[0], {**once[1], key: value}) == moves
+        assert moved(*still, place, attitude) == moves
 
 
 def test_rocks_stand_still_and_their_visibility_is_their_pixels_share(out, nusc):

@@ -18,7 +18,9 @@ from scenec.backends.annotation.point_tracks import follow_points
 from scenec.backends.exact import ExactCaster
 from scenec.backends.stage.read import read_stage
 from scenec.cli.main import main
-from scenec.schemas.correspondence import NOTHING, VISIBLE
+from scenec.datasets.sheet import write_sheet
+from scenec.datasets.tracks.sheet import draw_tracks
+from scenec.schemas.correspondence import HIDDEN, NOTHING, VISIBLE
 from scenec.schemas.point_tracks import TrackPoints
 from scenec.testing.small import small_cfg, write_cfg
 
@@ -125,6 +127,34 @@ def test_the_video_is_the_pictures_and_each_frame_has_its_share_of_points(
     with np.load(made / f"batch_0001/{camera}.npz") as arrays:
         assert np.bincount(arrays["query_sample"]).tolist() == [30, 30, 30]
         assert arrays["sample"].tolist() == [0, 1, 2]
+
+
+def test_points_are_filled_where_they_are_visible_and_rings_where_hidden() -> None:
+    """Of two points the second goes behind something: its trail has gaps from there on."""
+    pixel = np.array([[[20.5, 10.5]] * 3, [[20.5, 40.5], [70.5, 40.5], [120.5, 40.5]]])
+    code = np.array([[VISIBLE] * 3, [VISIBLE, HIDDEN, HIDDEN]])
+    drawn = draw_tracks(np.zeros((60, 1000, 3), np.uint8), pixel, code, 2).any(axis=-1)
+    # Three pixels above the middle of each, off the trail: 5 is the radius.
+    assert drawn[7, 20]
+    assert not drawn[37, 120]
+    assert drawn[35, 120]
+    assert drawn[40, 20:115].sum() < 0.7 * 95
+    assert draw_tracks(np.zeros((60, 1000, 3), np.uint8), pixel, code, 0).any(axis=-1)[40, 20]
+
+
+def test_the_contact_sheet_shows_the_tracks_of_its_own_stage_alone(
+    made: Path, out: Path, tmp_path: Path
+) -> None:
+    def width() -> int:
+        with Image.open(write_sheet(out, tmp_path / "sheet.png", count=1).path) as sheet:
+            return sheet.width
+
+    with_tracks, text = width(), (made / "export.json").read_text()
+    try:
+        (made / "export.json").write_text(text.replace('stage_digest": "', 'stage_digest": "0'))
+        assert with_tracks - width() == 490
+    finally:
+        (made / "export.json").write_text(text)
 
 
 def test_the_table_is_the_arrays_and_export_json_counts_them(made: Path) -> None:

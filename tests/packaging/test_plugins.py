@@ -269,9 +269,20 @@ def test_keys_of_another_package_are_checked_like_our_own(there, tmp_path):
     assert 'did you mean "spiral"?' in found["/rigs/drone/pose/type"]
 
 
+def test_kinds_of_packages_that_are_there_are_listed(there, tmp_path):
+    document = cfg()
+    document["terrain"]["relief"][1]["type"] = "volcano"
+    told = faults(tmp_path, document)["/terrain/relief/1/type"]
+    assert told.endswith("of installed ones furrows (scenec doctor)")
+    (names,) = plugins.installed().values()
+    assert {"relief operator furrows", "pose spiral", "effect banding"} <= set(names)
+
+
 def test_without_the_package_its_names_are_told(tmp_path):
     found = faults(tmp_path, cfg())
-    assert "expected one of plane, dem" in found["/terrain/relief/1/type"]
+    told = found["/terrain/relief/1/type"]
+    assert "expected one of plane, dem" in told
+    assert "others come from plug-ins, of installed ones none (scenec doctor)" in told
     effect = "/rigs/drone/sensors/eye/effects/0/type"
     assert found[effect].endswith("expected a name that an installed package offers, and none does")
 

@@ -59,14 +59,15 @@ FLOORS = {
     ),
     "datasets": (
         ("outputs",),
-        ("bins", "card_tables", "colors", "idset", "outlines", "source", "splits", "sums"),
+        ("bins", "card_tables", "colors", "idset", "outlines", "source"),
+        ("splits", "sums", "tracks"),
         ("filters", "motion_colors", "pictures", "remap", "statistics"),
         ("contact_sheet", "formats", "view", "terminal"),
         ("evaluate", "export_plan", "recording", "sheet", "torch_dataset", "card"),
         ("export_records",),
         ("export_part", "holdings"),
         ("export",),
-        ("verify", "maps", "tracks"),
+        ("verify", "maps"),
         ("models",),
     ),
     "importers": (

@@ -5,12 +5,14 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
+import math
 
 import moving_stages as ms
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from scenec.backends.annotation.depth_camera import measure_stereo, measure_time_of_flight
 from scenec.backends.run.session import Session
@@ -90,16 +92,19 @@ def test_ranges_are_told_modulo_the_ambiguity(reach):
     np.testing.assert_allclose(made, (reach % 15.0) * 0.8, atol=1e-9)
 
 
-def test_at_an_edge_time_of_flight_has_ranges_between_the_two():
+@pytest.mark.parametrize("blur_px", [0.3, 0.4, 0.8, 2.0])
+def test_at_an_edge_time_of_flight_has_ranges_between_the_two(blur_px):
     reach = np.where(np.arange(64) < 32, 2.0, 3.0)[None].repeat(8, 0)
     made = measure_time_of_flight(
-        dataclasses.replace(TOF, blur_px=0.8, ambiguity_m=15.0),
+        dataclasses.replace(TOF, blur_px=blur_px, ambiguity_m=15.0),
         reach, np.ones_like(reach), np.ones_like(reach), 1, 0,
     )  # fmt: skip
-    between = (made > 2.05) & (made < 2.95)
-    assert between[:, 30:34].any()
-    assert not between[:, :28].any()
-    assert not between[:, 36:].any()
+    # Half a pixel from the edge: the share of the spot beyond it, as a phasor.
+    turn, beyond = 2 * np.pi / 15.0, norm.cdf(-0.5 / blur_px)
+    mixed = (1 - beyond) / 4 * np.exp(2j * turn) + beyond / 9 * np.exp(3j * turn)
+    assert np.abs(made[:, 31] - np.angle(mixed) / turn).max() < 2e-3
+    reached = math.ceil(3 * blur_px)
+    assert (np.abs(made - reach)[:, [*range(32 - reached), *range(32 + reached, 64)]] < 1e-9).all()
     sharp = measure_time_of_flight(TOF, reach, np.ones_like(reach), np.ones_like(reach), 1, 0)
     np.testing.assert_allclose(sharp, reach, rtol=1e-9)
 

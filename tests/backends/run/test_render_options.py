@@ -57,6 +57,14 @@ def test_a_device_that_a_backend_lacks_is_refused_before_anything_else(tmp_path,
         render(square_stage(tmp_path / "square.usda", width=32), "plain", device="optix")
 
 
+@pytest.mark.usefixtures("worker_here")
+def test_where_frames_of_a_file_go_is_said_first(stage):
+    said: list[str] = []
+    frames = run(stage, "annotation", passes=["depth"], say=said.append).frames
+    assert said[0] == f"frames go into {stage.parent / 'frames'}/, beside square.usda"
+    assert all(stem.is_relative_to(stage.parent / "frames") for stem in frames)
+
+
 def test_a_backend_that_two_packages_offer_is_refused(tmp_path, monkeypatch):
     install(tmp_path, monkeypatch)
     info = tmp_path / "site" / "another-2.0.dist-info"

@@ -1,4 +1,4 @@
-"""What sidecars say of sun and height is what the cfg asked for."""
+"""What sidecars say of sun, haze and height is what the cfg asked for."""
 
 from __future__ import annotations
 
@@ -46,13 +46,15 @@ def test_a_frame_states_the_cfg_s_sun_and_the_camera_s_height(tmp_path: Path) ->
     cfg = small_cfg(samples=2)
     cfg["objects"]["rocks"] |= {"count": 1, "size_m": 0.05}
     cfg["light"]["sun"] = {"elevation_deg": 33, "azimuth_deg": 210, "irradiance": 1000}
+    cfg["light"]["haze"] = {"visibility_m": {"type": "choice", "values": [700]}}
     compile_cfg(write_cfg(tmp_path, cfg), seed=2, out=tmp_path / "out")
     report = render(tmp_path / "out", "reference", passes=("depth",))
     for path in report.frames:
         sidecar = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
         assert sidecar["sun"]["elevation_deg"] == pytest.approx(33, abs=1e-4)
         assert sidecar["sun"]["azimuth_deg"] == pytest.approx(210, abs=1e-4)
+        assert sidecar["visibility_m"] == pytest.approx(700, rel=1e-6)
         # 1.5 m over the ground as defined; the mesh is off by its stated error.
         assert sidecar["height_above_surface_m"] == pytest.approx(1.5, abs=0.02)
-        assert {"sun", "height_above_surface_m"} <= set(sidecar["conventions"])
+        assert {"sun", "visibility_m", "height_above_surface_m"} <= set(sidecar["conventions"])
     assert "clockwise" in CONVENTIONS["sun"]

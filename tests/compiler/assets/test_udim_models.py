@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from pxr import UsdUtils
 
+from scenec.backends.stage.read import read_stage
+from scenec.backends.surface.maps import map_values
 from scenec.compiler.assets.model import parsed_model, read_model
 from scenec.schemas import udim
 from scenec.schemas.errors import SceneError
@@ -85,6 +88,23 @@ def test_a_missing_tile_is_black_rough_and_solid(tmp_path, name):
     color = whole("color")
     np.testing.assert_array_equal(pixels["base_color"][~hole], color[~hole][:, :3])
     np.testing.assert_array_equal(pixels["opacity"][~hole], color[~hole][:, 3])
+
+
+def test_tiles_in_a_package_are_those_beside_its_file(tmp_path):
+    """Of a cfg's model, and of a stage that is drawn as it is."""
+    for picture in ("color", "packed"):
+        store(tmp_path, picture)
+    file = packed_card(tmp_path / "card.usda", "{}.<UDIM>.png", (COLUMNS, ROWS))
+    package = tmp_path / "apart" / "card.usdz"
+    package.parent.mkdir()
+    assert UsdUtils.CreateNewUsdzPackage(str(file), str(package))
+    wanted, uv = read(file)
+    found, own_uv = read(package)
+    np.testing.assert_array_equal(own_uv, uv)
+    drawn, own = (next(s.maps for s in read_stage(f).surfaces if s.maps) for f in (file, package))
+    for kind in KINDS:
+        np.testing.assert_array_equal(found[kind], wanted[kind], err_msg=kind)
+        np.testing.assert_array_equal(map_values(own, kind), map_values(drawn, kind))
 
 
 def test_a_picture_in_no_tiles_is_in_each_of_the_others(tmp_path):

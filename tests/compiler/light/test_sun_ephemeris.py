@@ -164,7 +164,10 @@ def test_a_dems_place_is_taken_with_the_turn_of_its_axes():
     node |= dict.fromkeys(site)
     # Its +y is south.
     place = Georeference("Moon", 1737400.0, 1737400.0, *site.values(), (-1.0, 0.0, 0.0, -1.0))
-    found = draw_kind("suns", node, "light/sun", replace(context, georeference=lambda: place)).disc
+    track = draw_kind("suns", node, "light/sun", replace(context, georeference=lambda: place))
+    found = track.disc
+    assert track.facts["azimuth_deg"] == found.azimuth_deg
+    assert track.facts["azimuth_from_north_deg"] == given.azimuth_deg
     assert found.elevation_deg == given.elevation_deg
     assert found.azimuth_deg == pytest.approx((given.azimuth_deg + 180.0) % 360.0)
     with pytest.raises(SceneError, match="says no latitude and longitude"):
