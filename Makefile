@@ -11,11 +11,16 @@ EXAMPLES := quick
 
 BENCHMARKS := adapters agreement annotation cold cutouts datasets estimate exposure foliage growth imaging \
   incremental optics preview prune throughput
-EXPERIMENTS := head_to_head ego_motion segmentation instances
-PAGES := numerics relief photographs sky clouds haze motion extremes converge leaving_out errors
+#: Scripts of lab/ that write measured pages and their pictures; tests/docs/test_measured.py reads it.
+MEASURED := $(addprefix pages/,numerics motion densities rocks errors extremes leaving_out converge sky haze \
+    clouds relief viewers photographs lights) \
+  $(addprefix robustness/,extremes cfgs soak faults fuzz) \
+  $(addprefix experiments/,head_to_head ego_motion)
+#: Of pictures alone, which show what stages still hold.
+PICTURES := $(addprefix pages/,figures assets gallery)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup pythons demo test thorough lint types unit audit browser format bench docs site pictures experiments lock gpu wheel clean distclean
+.PHONY: help setup pythons demo test thorough lint types unit audit browser format bench docs measured site lock gpu wheel clean distclean
 
 help:  ## List the targets.
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
@@ -77,26 +82,18 @@ bench: setup  ## Run every benchmark; each prints a table.
 	  echo "== $$name"; .venv/bin/python lab/benchmarks/$$name.py; \
 	done
 
-docs: setup  ## Generate the cfg's schema and docs/cfg.md from its declarations; other pages by measuring.
-	@echo "== Writing what is made of the cfg's declarations"; .venv/bin/python -m tools.declarations
-	@set -e; for name in $(PAGES); do \
-	  echo "== Making docs: $$name"; .venv/bin/python lab/pages/$$name.py; \
+docs: setup  ## Generate the cfg's schema and docs/cfg.md from its declarations.
+	@.venv/bin/python -m tools.declarations
+
+measured: setup  ## Measure all pages and pictures anew (an hour and a half of CPU time), or MEASURED="pages/errors …" PICTURES=.
+	@set -e; for name in $(MEASURED) $(PICTURES); do \
+	  echo "== Measuring: $$name"; .venv/bin/python lab/$$name.py; \
 	done
 
 site: setup  ## Build the website of docs/ into build/site (Sphinx; a warning is an error).
 	@echo "== Building the site"
 	@.venv/bin/sphinx-build --quiet --fail-on-warning --keep-going --jobs auto docs build/site
 	@echo "== Open build/site/index.html"
-
-experiments: setup  ## The experiments of docs/experiments.md, in their small form (minutes each).
-	@set -e; for name in $(EXPERIMENTS); do \
-	  echo "== Experiment: $$name"; .venv/bin/python lab/experiments/$$name.py; \
-	done
-
-pictures: setup  ## Render the README's picture, docs/gallery.md, light.md, objects.md and assets.md.
-	@set -e; for name in gallery figures lights rocks densities assets; do \
-	  echo "== Rendering: $$name"; .venv/bin/python lab/pages/$$name.py; \
-	done
 
 #: Packages whose own lists of what they need are overridden in pyproject.toml: locked apart, since
 #: pip would miss in requirements.lock what the override takes away.

@@ -95,7 +95,7 @@ class Radiance:
 
 @dataclass(frozen=True)
 class LoadCost:
-    """Bytes at the peak of loading a scene, measured (``docs/numbers.md``).
+    """Bytes at the peak of loading a scene, measured (``lab/benchmarks/growth.py --of million``).
 
     Attributes:
         row: Of an instance of a mesh, where instances are kept.

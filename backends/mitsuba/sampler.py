@@ -1,11 +1,12 @@
 """Owen-scrambled Sobol' points as a sampler of Mitsuba. Import it once the variant is set.
 
 Mitsuba's own structured samplers are biased in indirect light, since their dimensions depend on
-each other (docs/numbers.md). Here each call gives the first one or two dimensions of the Sobol'
-sequence anew: their order shuffled and each coordinate scrambled, both by nested uniform scrambling
-(Owen 1995), keyed by a hash of seed, pixel and call. So each point alone is uniform, calls do not
-know of each other, and of each call every 2**k samples of a pixel, from a multiple of 2**k on, have
-one in each elementary interval: [i / 2**a, (i + 1) / 2**a) x [j / 2**b, (j + 1) / 2**b), a + b = k.
+each other (stratified: -2 % in a white box). Here each call gives the first one or two dimensions
+of the Sobol' sequence anew: their order shuffled and each coordinate scrambled, both by nested
+uniform scrambling (Owen 1995), keyed by a hash of seed, pixel and call. So each point alone is
+uniform, calls do not know of each other, and of each call every 2**k samples of a pixel, from a
+multiple of 2**k on, have one in each elementary interval: [i / 2**a, (i + 1) / 2**a) x [j / 2**b,
+(j + 1) / 2**b), a + b = k.
 
 After Burley 2020, "Practical Hash-based Owen Scrambling", with Vegdahl's constants for the hash of
 Laine and Karras 2011.

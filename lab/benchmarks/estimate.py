@@ -1,7 +1,6 @@
 """Is the stated error of a picture true: over drawn scenes, how often is it below its 95 % bound.
 
-    python lab/benchmarks/estimate.py [--scenes 100] [--first 0] [--error 0.1]
-                                          [--json FILE] [--fast]
+    python lab/benchmarks/estimate.py [--scenes 100] [--first 0] [--error 0.1] [--fast]
 
 Each scene is a cfg drawn from its number (suns from 3 degrees up, skies or none, gloss, metals,
 glowing stones, a planetary law), seen at 48 x 32 by Mitsuba. A scene that shows no lit surface (a
@@ -17,10 +16,8 @@ looked at after every round errs a little more often).
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -28,25 +25,29 @@ from scenec.lab.runner import Cell, Study, run
 from scenec.testing.drawn_scenes import MOST, REFERENCE, SPP, Trial, rendered
 
 
-def main(study: Study) -> None:
-    """Measure and print."""
-    options = study.options
-    count = 3 if study.fast else options.scenes
+def trials(count: int, first: int, error: float) -> tuple[dict[str, list[Trial]], int]:
+    """Single, pooled and adaptive trials of scenes; how many more showed nothing lit."""
     found: dict[str, list[Trial]] = {"single": [], "pooled": [], "adaptive": []}
-    unmet, dark, number = 0, 0, options.first
+    number = first
     while len(found["single"]) < count:
-        scene = rendered(number, options.error)
+        scene = rendered(number, error)
         number += 1
         if scene is None:
-            dark += 1
             continue
         each = scene.single
         found["single"].append(each[len(found["single"]) % len(SPP)])
         found["pooled"] += each
-        unmet += scene.rounds is None
         found["adaptive"] += [] if scene.rounds is None else [scene.rounds]
         pairs = ", ".join(f"{t.true / t.bound:.3f}" for t in each if t.bound > 0.0)
         print(f"scene {number - 1}: true over bound {pairs}", file=sys.stderr, flush=True)
+    return found, number - first - count
+
+
+def main(study: Study) -> None:
+    """Measure and print."""
+    options = study.options
+    count = 3 if study.fast else options.scenes
+    found, dark = trials(count, options.first, options.error)
     study.say(f"{count} drawn scenes, 48 x 32, reference {2 * REFERENCE} samples per pixel;")
     study.say(f"{dark} more showed no lit surface and were drawn again.\n")
     pooled, adaptive = found["pooled"], found["adaptive"]
@@ -58,16 +59,7 @@ def main(study: Study) -> None:
         rows.append(["true error below that target", *share(met), None, None])
     header = ["pictures", "bound holds", "share", "95 % interval", "true/est.", "bound/est."]
     study.table(header, rows)
-    study.say(f"Target not met within {MOST} spp: {unmet} scenes.")
-    if options.json:
-        lists = {name: [_rounded(t) for t in trials] for name, trials in found.items()}
-        about = {"error": options.error, "dark": dark, "unmet": unmet}
-        text = json.dumps({**about, **lists}).replace("}, {", "},\n{")
-        options.json.write_text(text + "\n", encoding="utf-8")
-
-
-def _rounded(trial: Trial) -> dict[str, float]:
-    return {name: float(f"{value:.6g}") for name, value in vars(trial).items()}
+    study.say(f"Target not met within {MOST} spp: {count - len(adaptive)} scenes.")
 
 
 def share(held: Sequence[bool]) -> list[str]:
@@ -92,4 +84,4 @@ def _row(name: str, found: list[Trial]) -> list[Cell]:
 
 
 if __name__ == "__main__":
-    run(main, scenes=100, first=0, error=0.1, json=Path)
+    run(main, scenes=100, first=0, error=0.1)

@@ -257,7 +257,9 @@ def main(page: Page) -> None:
     Raises:
         OutputError: There is no such part, or a package is not installed.
     """
-    page.refresh((), [PARTS[name] for name in chosen(page, PARTS)])
+    page.refresh(
+        ("torch", "torchvision", "trackeval"), [PARTS[name] for name in chosen(page, PARTS)]
+    )
 
 
 if __name__ == "__main__":

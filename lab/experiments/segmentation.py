@@ -244,7 +244,7 @@ def main(page: Page) -> None:
     page.value("backbone", recipe.backbone)
     page.value("steps", f"{recipe.steps} steps of {recipe.pictures} pictures, AdamW, {device}")
     parts = [partial(_PARTS[name], experiment=experiment) for name in experiment.parts]
-    page.refresh((), parts)
+    page.refresh(("torch", "torchvision"), parts)
 
 
 if __name__ == "__main__":

@@ -307,7 +307,7 @@ def cost(page: Page) -> None:
 
 def main(page: Page) -> None:
     """Refreshes the page."""
-    page.refresh((), (pictures, shadows, volumes, cost))
+    page.refresh(("mitsuba", "bpy"), (pictures, shadows, volumes, cost))
 
 
 if __name__ == "__main__":

@@ -191,4 +191,4 @@ def densities(page: Page) -> None:
 
 
 if __name__ == "__main__":
-    run(densities, page="objects")
+    run(lambda page: page.refresh((), (densities,)), page="objects")

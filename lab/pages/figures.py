@@ -145,6 +145,7 @@ def main(page: Page) -> None:
         if not page.options.only or part.__name__ in page.options.only:
             print(f"{part.__name__}: compiling and rendering", file=sys.stderr, flush=True)
             save(sheet(part(page), _WIDTH), page.picture(part.__name__))
+    page.refresh((), ())
 
 
 if __name__ == "__main__":

@@ -148,6 +148,7 @@ def main(page: Page) -> None:
             save(sheet.convert("RGB"), page.folder / "pictures" / f"{FIRST}.png")
     if not options.only:
         save(worlds(page.folder / "pictures"), page.folder / "pictures" / "worlds.jpg")
+    page.refresh((), ())
 
 
 if __name__ == "__main__":

@@ -157,7 +157,7 @@ def cost(page: Page) -> None:
 
 def main(page: Page) -> None:
     """Refreshes the page."""
-    page.refresh((), (volumes, cost))
+    page.refresh(("mitsuba",), (volumes, cost))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 Each light of lights.json falls on one of the cfgs of configs/, seen from where the file says:
 ``place`` is the camera's x_m, y_m, height_m, ``look`` its target's distance_m, bearing_deg,
 height_m, ``ev`` stops more than the metered exposure. Every frame is rendered by all three backends
-from one stage. Needs all backends and bpy's HDRIs; takes ten minutes or so on two cores. With
+from one stage. Needs all backends and bpy's HDRIs; takes six CPU minutes. With
 --keep, compiled stages and frames stay in FOLDER, and frames that are there are not made again.
 
 Those with ``bearings`` (fog, dust) are views side by side, by Mitsuba alone.
@@ -74,6 +74,7 @@ def main(page: Page) -> None:
         exposure = found[BACKENDS[0]].sidecar.exposure_ev
         tiles = [(backend, photograph(frame, exposure)) for backend, frame in found.items()]
         save(sheet([tiles], SIZE[0]), page.picture(name))
+    page.refresh((), ())
 
 
 if __name__ == "__main__":

@@ -77,4 +77,4 @@ def _length(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 if __name__ == "__main__":
-    run(lambda page: page.refresh((), (tracks,)), page="objects")
+    run(lambda page: page.refresh(("scipy",), (tracks,)), page="objects")

@@ -100,6 +100,7 @@ def main(page: Page) -> None:
     for family in FAMILIES:
         family_part(page, family)
     coatings(page)
+    page.refresh((), ())
 
 
 if __name__ == "__main__":

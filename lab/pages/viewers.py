@@ -354,7 +354,7 @@ def held(page: Page) -> None:
 
 def main(page: Page) -> None:
     """Makes the parts."""
-    page.refresh(("scenec", "mitsuba", "bpy"), [held])
+    page.refresh(("mitsuba", "bpy"), [held])
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ import numpy as np
 from scenec.compiler.cfg.load import load
 from scenec.compiler.cfg.sources import read
 from scenec.compiler.kinds.schema import Field, root, walk
-from scenec.lab.runner import CONFIGS, Study, run
+from scenec.lab.runner import CONFIGS, Page, run
 from scenec.schemas.errors import CfgError
 from scenec.testing.mutants import Outcome, tried
 from scenec.testing.small import small_cfg
@@ -184,10 +184,10 @@ def compiled(file: Path, out: Path) -> Callable[[], None]:
     return read
 
 
-def outcomes(study: Study, count: int, every: int) -> Iterator[tuple[Outcome | None, Path, bool]]:
+def outcomes(page: Page, count: int, every: int) -> Iterator[tuple[Outcome | None, Path, bool]]:
     """Of each cfg: what compiling it came to (None: it was not), its file, and has it no faults."""
-    rng, some, sound = np.random.default_rng(study.options.seed), bases(), 0
-    file = study.scratch / "drawn.json"
+    rng, some, sound = np.random.default_rng(page.options.seed), bases(), 0
+    file = page.scratch / "drawn.json"
     for _ in range(count):
         file.write_text(json.dumps(changed(_choice(some, rng), rng), indent=1), encoding="utf-8")
         try:
@@ -199,17 +199,17 @@ def outcomes(study: Study, count: int, every: int) -> Iterator[tuple[Outcome | N
         if sound % every:
             yield None, file, True
             continue
-        yield tried(compiled(file, study.scratch / "out"), "", study.scratch / "jail"), file, True
-        shutil.rmtree(study.scratch / "out", ignore_errors=True)
+        yield tried(compiled(file, page.scratch / "out"), "", page.scratch / "jail"), file, True
+        shutil.rmtree(page.scratch / "out", ignore_errors=True)
 
 
-def main(study: Study) -> None:
-    """Prints how many cfgs ended how, and the faults."""
-    count = 50 if study.fast else study.options.cfgs
-    kept = study.options.keep
+def main(page: Page) -> None:
+    """Refreshes how many cfgs ended how, and prints the faults."""
+    count = 50 if page.fast else page.options.cfgs
+    kept = page.options.keep
     gc.freeze()
     found, faults, slowest = Counter[str](), [], 0.0
-    for number, (outcome, file, sound) in enumerate(outcomes(study, count, study.options.compile)):
+    for number, (outcome, file, sound) in enumerate(outcomes(page, count, page.options.compile)):
         if outcome is None:
             found["not compiled" if sound else "faults told"] += 1
             continue
@@ -222,11 +222,14 @@ def main(study: Study) -> None:
             if kept is not None:
                 kept.mkdir(parents=True, exist_ok=True)
                 (kept / f"cfg_{number}.json").write_bytes(file.read_bytes())
-    study.table(["outcome", "cfgs"], [[kind, times] for kind, times in found.most_common()])
-    study.say(f"{count:,} cfgs; the slowest took {slowest:.1f} s")
+    page.value("drawn", f"{count:,}")
+    page.value("drawn_faults", str(len(faults)))
+    page.block("drawn_cfgs", ["outcome", "cfgs"], found.most_common())
+    page.refresh((), ())
+    page.say(f"{count:,} cfgs; the slowest took {slowest:.1f} s")
     for fault, times in Counter(faults).most_common():
-        study.say(f"- {times} x {fault}")
+        page.say(f"- {times} x {fault}")
 
 
 if __name__ == "__main__":
-    run(main, cfgs=10_000, compile=10, seed=0, keep=Path)
+    run(main, page="robustness", cfgs=1_000, compile=10, seed=0, keep=Path)

@@ -1,6 +1,6 @@
 """Scenes, objects, cameras, lights and steps at the ends of their ranges: one table.
 
-    python lab/robustness/extremes.py [--only WORD,WORD,...] [--heavy] [-o FILE]
+    python lab/robustness/extremes.py [--only WORD,WORD,...] [--heavy] [-o FOLDER]
 
 Each case runs in a process of its own: a cfg is compiled, its stage read, and a picture annotated
 or drawn by Mitsuba, 16 samples a pixel. The error is that against a closed form, or what the row
@@ -13,7 +13,7 @@ import json
 import math
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from scenec.compiler.compile import compile_cfg
 from scenec.compiler.terrain.grid import Grid
 from scenec.compiler.views.needed import Keep
 from scenec.lab.robustness import extreme_dems, extreme_maps
-from scenec.lab.runner import Cell, Study, apart, names, run
+from scenec.lab.runner import Cell, Page, apart, names, run
 from scenec.schemas.errors import ScenecError
 from scenec.testing.extreme_scenes import (
     DOWN,
@@ -50,14 +50,14 @@ EYE: dict[str, Any] = {"resolution": [24, 18], "fov_deg": 60}
 def _cfg(
     folder: Path, eye: tuple[float, float, float], sensor: dict[str, Any], turn: Any = DOWN
 ) -> dict[str, Any]:
-    """A plane without stones, and a camera whose place is given over it."""
+    """A plane without stones, and a camera whose place is given over it, or below."""
     case = Case("one", "", eye, turn, sensor)
     cfg: dict[str, Any] = json.loads(extreme_cfg(folder, (case,), stones=0).read_text("utf-8"))
+    cfg["rigs"]["one"]["allow_below"] = True
     return cfg
 
 
 def _compiled(folder: Path, cfg: dict[str, Any], **how: Any) -> Path:
-
     file = folder / "extremes.json"
     file.write_text(json.dumps(cfg), encoding="utf-8")
     return compile_cfg(file, seed=1, out=folder / "out", **how).out / "batch_0000"
@@ -471,26 +471,44 @@ def _tried(work: Callable[[Path], Found], folder: Path) -> Found:
         return work(folder)
     except ScenecError as error:
         line = str(error).splitlines()[0].replace(str(folder) + "/", "").replace("|", "\\|")
-        return "refused: " + re.sub(r"\S*extremes\.json(:\d+)*: ", "", line), None
+        line = re.sub(r"\S*extremes\.json(:\d+)*: ", "", line)
+        return f"refused: {line[:80]}…", None
 
 
-def main(study: Study) -> None:
-    """Prints a row a case, as soon as it is there."""
-    wanted = study.options.only
-    table: list[list[Cell]] = []
+def merged(table: list[list[Any]]) -> Iterator[list[Cell]]:
+    """Makes one row, of the worst error, of the cases of a group that promise the same."""
+    groups: dict[tuple[str, ...], list[list[Any]]] = {}
+    for row in table:
+        refused = row[1] if row[1].startswith("refused") else ""
+        groups.setdefault((row[0].partition(":")[0], row[-1], refused), []).append(row)
+    for (group, promise, _), of in groups.items():
+        cases = "; ".join(row[0].partition(": ")[2] for row in of)
+        worst = max(reversed(of), key=lambda row: row[2] or 0.0)
+        error = None if worst[2] is None else f"{worst[2]:.1e}"
+        seconds = max(row[3] for row in of)
+        yield [f"{group}: {cases}", worst[1], error, seconds, promise]
+
+
+def main(page: Page) -> None:
+    """Prints a row a case, as soon as it is there; refreshes a row a group."""
+    wanted = page.options.only
+    table: list[list[Any]] = []
     for row in rows():
         if (wanted and row.what.partition(":")[0] not in wanted) or (
-            row.heavy and not study.options.heavy
+            row.heavy and not page.options.heavy
         ):
             continue
-        with tempfile.TemporaryDirectory(dir=study.scratch) as folder:
+        with tempfile.TemporaryDirectory(dir=page.scratch) as folder:
             cost = apart(_tried, row.work, Path(folder))
         words, error = cost.value
-        told = None if error is None else f"{error:.1e}"
-        table.append([row.what, words, told, cost.cpu_s, cost.peak_mib, row.promise])
+        table.append([row.what, words, error, cost.cpu_s, cost.peak_mib, row.promise])
         print(table[-1], flush=True)
-    study.table(["case", "outcome", "error", "CPU s", "MiB", "promised"], table)
+    if page.whole:
+        page.value("tried", str(len(table)))
+        header = ["case", "outcome", "error", "CPU s", "promised"]
+        page.block("extremes", header, merged(table))
+        page.refresh(("numpy", "mitsuba"), ())
 
 
 if __name__ == "__main__":
-    run(main, only=names, heavy=False)
+    run(main, page="robustness", only=names, heavy=False)

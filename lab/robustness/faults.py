@@ -11,9 +11,9 @@ that ends by itself says nothing, shows a traceback, or says what is wrong but n
 leaves a process; if it does not succeed once nothing disturbs it; if the files then differ from
 undisturbed ones; or if anything temporary is left.
 
-Pairs of fault and command are taken in a random order, none twice before all were; without
-``--runs`` each is taken once. A fault that cannot be made on this machine (for want of root, a
-tool, a loop device, a file system that the kernel has) is left out, with a line that says why.
+Pairs of fault and command are taken in a random order, none twice before all were; ``--runs 0``
+takes each once. A fault that cannot be made on this machine (for want of root, a tool, a loop
+device, a file system that the kernel has) is left out, with a line that says why.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from typing import Any
 import psutil
 
 from scenec.lab.robustness.soak import scanned_cfg
-from scenec.lab.runner import SCENEC, Study, names, run
+from scenec.lab.runner import SCENEC, Page, names, run
 from scenec.lab.runner import command as run_command
 from scenec.schemas.errors import ScenecError
 from scenec.schemas.files import sha256, tree
@@ -319,11 +319,15 @@ def obstacle(fault: str, folder: Path) -> str | None:
 def pairs(
     rng: random.Random, faults: Sequence[str], commands: Sequence[str], runs: int = 0
 ) -> list[tuple[str, str]]:
-    """So many pairs of a fault and a command, none twice before all were; 0 runs are all once."""
+    """So many pairs of a fault and a command, each fault in turn, no pair twice before all were.
+
+    0 runs are all once.
+    """
     found: list[tuple[str, str]] = []
     while len(found) < (runs or 1):
-        every = [(fault, name) for name in commands for fault in faults]
-        found += rng.sample(every, len(every))
+        turns = [rng.sample(commands, len(commands)) for _ in faults]
+        for turn in zip(*turns, strict=True):
+            found += rng.sample(list(zip(faults, turn, strict=True)), len(faults))
     return found[: runs or len(found)]
 
 
@@ -445,11 +449,11 @@ def _marked(mark: str) -> list[str]:
 
 
 def tried(
-    study: Study, made: dict[str, Path], timed: set[str], cfg: Path, name: str, fault: str, rng: Any
+    page: Page, made: dict[str, Path], timed: set[str], cfg: Path, name: str, fault: str, rng: Any
 ) -> tuple[str, list[str]]:
     """One run: what the disturbed command ended with, and all that is wrong."""
     command = COMMANDS[name]
-    place = study.scratch / "run"
+    place = page.scratch / "run"
     place.mkdir()
     folder = _taken(command, made, place / "output")
     line = _line(command, cfg, folder)
@@ -476,40 +480,47 @@ def tried(
     return f"{ended}: {last[0][:120]}", wrong
 
 
-def main(study: Study) -> None:
-    """Prints a row a run, and how often each fault ended how."""
-    commands = list(study.options.commands or COMMANDS)
+def main(page: Page) -> None:
+    """Prints a row a run, and refreshes how often each fault ended how."""
+    commands = list(page.options.commands or COMMANDS)
     faults = []
-    for fault in study.options.only or FAULTS:
-        with tempfile.TemporaryDirectory(dir=study.scratch) as folder:
+    for fault in page.options.only or FAULTS:
+        with tempfile.TemporaryDirectory(dir=page.scratch) as folder:
             why = obstacle(fault, Path(folder))
         if why:
-            study.say(f"left out: {fault} ({why})")
+            page.say(f"left out: {fault} ({why})")
         else:
             faults.append(fault)
     if not faults:
         raise ScenecError("none of these faults can be made here")
-    rng = random.Random(study.options.seed)
-    cfg = write_cfg(study.scratch, scanned_cfg(batches=2, samples=2))
-    made, timed = prepared(study.scratch, cfg)
+    rng = random.Random(page.options.seed)
+    cfg = write_cfg(page.scratch, scanned_cfg(batches=2, samples=2))
+    made, timed = prepared(page.scratch, cfg)
     files = ", ".join(sorted({file for some in timed.values() for file in some})) or "none"
-    study.say(f"files that differ between undisturbed runs (times are in them): {files}\n")
-    chosen = pairs(rng, faults, commands, len(faults) if study.fast else study.options.runs)
+    page.say(f"files that differ between undisturbed runs (times are in them): {files}\n")
+    chosen = pairs(rng, faults, commands, len(faults) if page.fast else page.options.runs)
     ends: dict[str, Counter[str]] = {fault: Counter() for fault in faults}
     times, wronged = Counter[tuple[str, str]](), 0
     for number, (fault, name) in enumerate(chosen):
-        ended, wrong = tried(study, made, timed[name], cfg, name, fault, rng)
+        ended, wrong = tried(page, made, timed[name], cfg, name, fault, rng)
         ends[fault][ended.partition(":")[0]] += 1
         times[fault, name] += 1
         wronged += bool(wrong)
         print(json.dumps([number, name, fault, ended, wrong]), flush=True)
         for each in wrong:
-            study.say(f"- run {number}, {name}, {fault}: {each}")
+            page.say(f"- run {number}, {name}, {fault}: {each}")
     rows = [
-        [fault, *(times[fault, name] for name in commands), _text(ends[fault])] for fault in faults
+        [fault, ", ".join(name for name in commands if times[fault, name]), _text(ends[fault])]
+        for fault in faults
     ]
-    study.table(["fault", *commands, "the command ended with"], rows)
-    study.say(f"{len(chosen)} runs, {wronged} with something wrong")
+    header = ["fault", "of", "the command ended with"]
+    page.table(header, rows)
+    page.say(f"{len(chosen)} runs, {wronged} with something wrong")
+    if page.whole:
+        page.value("disturbed", f"{len(chosen)} runs, {len(faults)} faults")
+        page.value("disturbed_wrong", str(wronged))
+        page.block("faults", header, rows)
+        page.refresh((), ())
 
 
 def _text(ends: Counter[str]) -> str:
@@ -517,4 +528,4 @@ def _text(ends: Counter[str]) -> str:
 
 
 if __name__ == "__main__":
-    run(main, runs=0, seed=0, commands=names, only=names)
+    run(main, page="robustness", runs=18, seed=0, commands=names, only=names)

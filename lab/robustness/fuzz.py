@@ -1,7 +1,7 @@
 """Reads files with faults of every kind: each ends in what it holds, or in one error naming it.
 
     python lab/robustness/fuzz.py [--mutants N] [--kinds stage,model,...] [--seed S]
-                                      [--keep FOLDER] [--fast] [-o FILE]
+                                      [--keep FOLDER] [--fast] [-o FOLDER]
 
 Of each kind of file that scenec reads, a sound one is made, and mutants of it: bits and bytes
 changed, cut, doubled, words and numbers in each other's places. Each is read in a process of its
@@ -31,7 +31,7 @@ from unittest import mock
 
 import numpy as np
 
-from scenec.lab.runner import Study, names, run
+from scenec.lab.runner import Page, names, run
 from scenec.schemas.errors import OutputError, ScenecError
 from scenec.schemas.files import sha256, tree
 from scenec.testing import exports, models
@@ -41,6 +41,8 @@ from scenec.testing.small import small_cfg, write_cfg
 
 #: Faults that are shown.
 SHOWN = 10
+#: First words of kinds that are of one group.
+GROUPS = {"cfg", "stage", "model", "heights", "texture", "sky", "track", "export"}
 
 
 @dataclass(frozen=True)
@@ -475,23 +477,35 @@ def outcomes(
         each.write_bytes(whole)
 
 
-def main(study: Study) -> None:
-    """Prints a row a kind, and the faults."""
-    kept = study.options.keep
-    count = 20 if study.fast else study.options.mutants
-    wanted = study.options.kinds
+def grouped(rows: list[list[Any]]) -> Iterator[list[Any]]:
+    """Adds up the rows of kinds with the same first word; what a command writes is "output"."""
+    groups: dict[str, list[list[Any]]] = {}
+    for row in rows:
+        group, _, name = row[0].rpartition(" ")
+        group = group if group in GROUPS else "output"
+        groups.setdefault(group, []).append([name if group != "output" else row[0], *row[1:6]])
+    for group, of in groups.items():
+        kinds, *numbers = zip(*of, strict=True)
+        yield [f"{group}: {', '.join(kinds)}", *map(sum, numbers)]
+
+
+def main(page: Page) -> None:
+    """Refreshes the page's row of each group of kinds; prints a row a kind, and the faults."""
+    kept = page.options.keep
+    count = 20 if page.fast else page.options.mutants
+    wanted = page.options.kinds
     rows, faults, total = [], [], Counter[str]()
     header = ["kind", "mutants", "taken", "refused", "crash told", "faults", "s at most", "MiB"]
     for name, kind in _kinds().items():
         if wanted is not None and not {name, name.split()[0]} & {*wanted}:
             continue
         kind.load()
-        files = written(kind, study.scratch / name.replace(" ", "_"))
+        files = written(kind, page.scratch / name.replace(" ", "_"))
         gc.collect()
         gc.freeze()
         times = -(-count // len(files))
-        jail = study.scratch / "jail"
-        sound, *found = outcomes(kind, files, times, study.options.seed, jail, kept)
+        jail = page.scratch / "jail"
+        sound, *found = outcomes(kind, files, times, page.options.seed, jail, kept)
         if sound.kind != "taken":
             faults.append(f"{name}: the sound file: {sound.kind}: {sound.text}")
         of = Counter({k: n * len(files) for k, n in Counter(e.kind for e in found).items()})
@@ -503,11 +517,17 @@ def main(study: Study) -> None:
         most = max(each.peak for each in found) / 2**20
         rows.append([name, times * len(files), *cells, slowest, most])
         print(" ".join(map(str, rows[-1])), flush=True)
-    study.table(header, rows)
-    study.say(f"{sum(total.values()):,} mutants: {dict(total)}")
+    page.table(header, rows)
+    page.say(f"{sum(total.values()):,} mutants: {dict(total)}")
+    if page.whole:
+        told = f"{sum(total.values()):,} mutants of {len(rows)} kinds"
+        page.value("fuzzed", told)
+        page.value("fuzz_faults", str(sum(row[5] for row in rows)))
+        page.block("fuzz", header[:6], grouped(rows))
+        page.refresh((), ())
     for fault, times in Counter(faults).most_common(SHOWN * len(rows)):
-        study.say(f"- {times} x {fault}")
+        page.say(f"- {times} x {fault}")
 
 
 if __name__ == "__main__":
-    run(main, mutants=1000, kinds=names, seed=0, keep=Path)
+    run(main, page="robustness", mutants=20, kinds=names, seed=0, keep=Path)

@@ -1,6 +1,6 @@
 """Makes many frames, and compiles many cfgs, in one process each: does anything pile up?
 
-    python lab/robustness/soak.py [--frames N] [--compiles N] [--works A,B,...] [-o FILE]
+    python lab/robustness/soak.py [--frames N] [--compiles N] [--works A,B,...] [-o FOLDER]
 
 Each work runs in a fresh process that nothing supervises, so that nothing is replaced when it
 grows. Forty-eight times, after a frame or an output, its resident memory, what it has allocated by
@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from scenec.lab.runner import Study, apart, names, run
+from scenec.lab.runner import Page, apart, names, run
 from scenec.testing.small import small_cfg, write_cfg
 
 #: Readings; the share of them that warm up, and parts of the others.
@@ -189,19 +189,19 @@ def _of(values: Sequence[int]) -> str:
     return f"{settled}" if values[-1] == settled else f"{settled} → {values[-1]}"
 
 
-def main(study: Study) -> None:
-    """Prints a row a work."""
-    count = 40 if study.fast else study.options.frames
-    compiled = 24 if study.fast else study.options.compiles
-    out = study.batch(_cfg(study.scratch, count)).parent
-    folder = study.scratch / "compiles"
+def main(page: Page) -> None:
+    """Refreshes a row a work."""
+    count = 40 if page.fast else page.options.frames
+    compiled = 24 if page.fast else page.options.compiles
+    out = page.batch(_cfg(page.scratch, count)).parent
+    folder = page.scratch / "compiles"
     folder.mkdir()
     works: dict[str, tuple[Any, ...]] = {
         "scan": (scans, out, count), "compile": (compiles, folder, compiled),
         "openusd": (layers, count),
     }  # fmt: skip
     rows = []
-    for name in study.options.works or (*RENDERERS, *works):
+    for name in page.options.works or (*RENDERERS, *works):
         found: Count = apart(*works.get(name, (frames, name, out, count))).value
         read = found.read
         row: list[str | float] = [name, found.turns, found.seconds / found.turns]
@@ -218,8 +218,14 @@ def main(study: Study) -> None:
         "KiB allocated a turn", "Python's blocks a turn", "descriptors", "threads",
         "child processes",
     ]  # fmt: skip
-    study.table(header, rows)
+    page.table(header, rows)
+    if page.whole:
+        scanned = f"{count:,} scans, {compiled:,} compilations"
+        page.value("soaked", f"{len(RENDERERS) * count:,} frames, {scanned}")
+        # The page says in words that no descriptor, thread or process is left.
+        page.block("soak", header[:8], (row[:8] for row in rows))
+        page.refresh((), ())
 
 
 if __name__ == "__main__":
-    run(main, frames=2000, compiles=200, works=names)
+    run(main, page="robustness", frames=500, compiles=50, works=names)

@@ -167,6 +167,7 @@ def test_no_pair_is_taken_twice_before_all_were(runs):
     counts = [times[pair] for pair in product(faults, commands)]
     assert sum(counts) == len(found)
     assert max(counts) - min(counts) <= 1
+    assert len({fault for fault, _ in found[: len(faults)]}) == min(len(found), len(faults))
 
 
 def test_another_seed_is_another_order():
