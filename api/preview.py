@@ -87,8 +87,9 @@ def preview(cfg: AnyCfg, options: PreviewOptions) -> PreviewPage:
         CfgError: The cfg has faults.
         ScenecError: The scene cannot be made.
     """
+    # Before a renderer is sought, which takes seconds.
+    spec = read_cfg(cfg, options.settings)
     with _previewing("cfg", options) as made:
-        spec = read_cfg(cfg, options.settings)
         made.make(read_cfg(cfg, [*options.settings, *coarse(spec, options.width)]))
         return PreviewPage(page(made.state.facts(), live=False))
 

@@ -17,6 +17,21 @@ def rotations(quaternion: NDArray) -> Rotation:
     return Rotation.from_quat(np.roll(quaternion, -1, axis=-1))
 
 
+def keys(
+    n: int, largest: float = 2.9, seed: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Rotation]:
+    """Times [n], positions [n, 3] and rotations, neighbors less than an angle in radians apart."""
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.05, 1.0, n))
+    axis = rng.normal(size=(n, 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    turns = Rotation.from_rotvec(axis * rng.uniform(0, largest, (n, 1)))
+    found = [turns[0]]
+    for k in range(1, n):
+        found.append(found[-1] * turns[k])
+    return time, rng.normal(size=(n, 3)), Rotation.concatenate(found)
+
+
 def top(
     t: NDArray, spin: float = 2.0, nod: float = 0.6, roll: float = -1.3
 ) -> tuple[Rotation, NDArray, NDArray]:

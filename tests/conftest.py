@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import sys
@@ -38,6 +39,16 @@ pytest_plugins = ["workers_here"]
 
 #: Seconds of the files that take long, as lab/benchmarks/durations.py measured them.
 SECONDS = json.loads(Path(__file__).with_name("durations.json").read_text(encoding="utf-8"))
+
+
+# What is collected stays to the end: it is not looked through for garbage again and again.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """What the tests leave is collected as ever."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

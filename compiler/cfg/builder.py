@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from scenec.compiler.kinds import schema
 from scenec.schemas.codec import Facts, JsonObject
 from scenec.schemas.errors import CfgError
-from scenec.schemas.spelling import nearest
+from scenec.schemas.spelling import nearest, shown
 
 if TYPE_CHECKING:
     from scenec.compiler.cfg.load import Spec
@@ -45,7 +45,7 @@ class Part:
         known = self.__dataclass_fields__  # type: ignore[attr-defined]
         if name not in known:
             kind = type(self).__name__
-            raise AttributeError(f"{kind} has no key {name!r}{nearest(name, known)}")
+            raise AttributeError(f"{kind} has no key {shown(name)}{nearest(name, known)}")
         super().__setattr__(name, value)
 
     def as_json(self) -> Facts:

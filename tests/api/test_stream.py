@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 
 import numpy as np
 import psutil
@@ -19,7 +20,7 @@ import scenec
 from scenec.compiler.cfg import builder
 from scenec.datasets.pictures import picture
 from scenec.schemas.errors import CfgError, FrameError, ScenecError, SceneError
-from scenec.testing.small import small_cfg, write_cfg
+from scenec.testing.small import small_cfg, sparse_cfg, write_cfg
 
 
 def tiny(**changes):
@@ -136,18 +137,7 @@ def test_an_error_of_who_takes_frames_leaves_nothing(places, workers):
     assert places() == before
 
 
-def sparse():
-    """Half a rock on average, which the camera circles: batches 2 and 3 of seed 1 have none."""
-    cfg = small_cfg(batches=4, samples=1, outputs=["depth"])
-    cfg["terrain"] |= {"relief": cfg["terrain"]["relief"][:1], "spacing_m": 2.0}
-    rocks = cfg["objects"]["rocks"]
-    del rocks["count"], rocks["density"]
-    rocks["per_m2"] = 0.5 / 320.0
-    center = {"type": "object", "object": "rocks"}
-    pose = {"type": "orbit", "center": center, "radius_m": 5, "height_m": 3, "period_s": 10}
-    sensor = {"resolution": [8, 6], "fov_deg": 70}
-    cfg["rigs"]["rover"] = {"pose": pose, "sensors": {"front": sensor}, "allow_below": True}
-    return cfg
+sparse = partial(sparse_cfg, batches=4, samples=1, outputs=["depth"])
 
 
 @pytest.mark.parametrize("workers", [0, 1])

@@ -32,7 +32,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cfg = small_cfg(samples=SAMPLES, outputs=["depth", "label", "instance"])
     cfg["terrain"]["spacing_m"] = 0.5
     cfg["rigs"]["rover"]["sensors"]["front"]["resolution"] = [32, 24]
-    scenec.sweep(cfg, out, values={PATH: SUNS}, seeds=SEEDS, backend="annotation")
+    scenec.sweep(cfg, out, values={PATH: SUNS}, seeds=SEEDS, backend="annotation", workers=0)
     return out
 
 

@@ -41,7 +41,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cfg["terrain"]["spacing_m"] = 0.5
     sensors = {name: {"resolution": [96, 64], **one} for name, one in SENSORS.items()}
     cfg["rigs"]["rover"]["sensors"] = sensors
-    scenec.sweep(cfg, out, values={PATH: SUNS}, seeds=SEEDS, backend="pyrender", spp=1)
+    scenec.sweep(cfg, out, values={PATH: SUNS}, seeds=SEEDS, backend="pyrender", spp=1, workers=0)
     return out
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 from killed import contents
@@ -19,29 +18,16 @@ from scenec.quality.ladder.base import Base
 from scenec.quality.ladder.run import climb
 from scenec.schemas.errors import ScenecError, SceneError, StageError
 from scenec.schemas.manifest import FailedBatch, find_batches, read_manifest
-from scenec.testing.small import small_cfg, write_cfg
+from scenec.testing.small import sparse_cfg, write_cfg
 
 pytestmark = pytest.mark.usefixtures("workers_here")
 
 
-def cfg_of(**change: Any) -> dict[str, Any]:
-    """Half a rock on average, which the camera circles: batches 2 and 3 of seed 1 have none."""
-    cfg = small_cfg(batches=4, samples=1, outputs=["depth"]) | change
-    cfg["terrain"] |= {"relief": cfg["terrain"]["relief"][:1], "spacing_m": 2.0}
-    rocks = cfg["objects"]["rocks"]
-    del rocks["count"], rocks["density"]
-    rocks["per_m2"] = 0.5 / 320.0
-    center = {"type": "object", "object": "rocks"}
-    pose = {"type": "orbit", "center": center, "radius_m": 5, "height_m": 3, "period_s": 10}
-    sensor = {"resolution": [8, 6], "fov_deg": 70}
-    # The circle may leave the terrain.
-    cfg["rigs"]["rover"] = {"pose": pose, "sensors": {"front": sensor}, "allow_below": True}
-    return cfg
-
-
 @pytest.fixture(scope="module")
 def cfg(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_cfg(tmp_path_factory.mktemp("faults"), cfg_of())
+    return write_cfg(
+        tmp_path_factory.mktemp("faults"), sparse_cfg(batches=4, samples=1, outputs=["depth"])
+    )
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +121,7 @@ def test_approximations_are_varied_of_the_attempt_that_is_there(cfg, redrawn, mo
 
 
 def test_where_no_batch_can_be_built_nothing_is_written(tmp_path):
-    impossible = cfg_of(batches=2)
+    impossible = sparse_cfg(batches=2, samples=1, outputs=["depth"])
     impossible["objects"]["rocks"]["per_m2"] = 0.0
     cfg = write_cfg(tmp_path, impossible)
     for faults in ("skip", "redraw"):

@@ -39,7 +39,7 @@ def out(tmp_path_factory):
     cfg = small_cfg(samples=2, outputs=PASSES)
     cfg["rigs"]["rover"]["sensors"] = {name: {**SIZE, **one} for name, one in SENSORS.items()}
     scenec.compile(cfg, folder / "out", seed=3)
-    scenec.render(folder / "out", backend="pyrender", spp=16)
+    scenec.render(folder / "out", backend="pyrender", spp=16, workers=0)
     return folder / "out"
 
 

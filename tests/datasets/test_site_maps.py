@@ -332,6 +332,18 @@ def test_what_cannot_be_mapped_is_said_in_one_line(more, message, out, tmp_path,
     assert not (tmp_path / "m").exists()
 
 
+def test_what_was_pruned_is_said_before_the_work(tmp_path, capsys):
+    out = str(tmp_path / "out")
+    cfg = small_cfg(samples=1)
+    assert main(["compile", str(write_cfg(tmp_path, cfg)), "-o", out]) == 0
+    capsys.readouterr()
+    sparse = ["--set", "layers=height", "--set", "cell_m=1"]
+    assert main(["export", out, "--format", "map", *sparse]) == 0
+    said = capsys.readouterr().err.splitlines()
+    (at,) = (i for i, line in enumerate(said) if line.startswith("warning: objects and ground"))
+    assert at < next(i for i, line in enumerate(said) if line.startswith("mapped"))
+
+
 def test_a_folder_of_somebody_is_left_alone(out, tmp_path, capsys):
     (tmp_path / "mine").write_text("mine")
     assert main(["export", str(out), "--format", "map", "-o", str(tmp_path)]) == 2

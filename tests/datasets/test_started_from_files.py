@@ -38,7 +38,7 @@ def root(tmp_path_factory):
                     "right": {**sensor, "partner": "left", "mount": away}},
     }  # fmt: skip
     scenec.compile(cfg, folder / "out", seed=3)
-    scenec.render(folder / "out", backend="pyrender", spp=4)
+    scenec.render(folder / "out", backend="pyrender", spp=4, workers=0)
     scenec.export(folder / "out", "euroc", folder=folder / "euroc", workers=0)
     how = {"settings": ["disparity=visible"], "workers": 0}
     scenec.export(folder / "out", "kitti", folder=folder / "kitti", **how)

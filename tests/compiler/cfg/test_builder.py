@@ -107,7 +107,7 @@ def test_faults_are_told_without_a_file() -> None:
     with pytest.raises(CfgError) as info:
         hills(samples=0, rigs={}).check()
     told = [(fault.file, fault.line, fault.pointer) for fault in info.value.faults]
-    assert told == [("cfg", 0, "/samples"), ("cfg", 0, "/rigs")]
+    assert told == [("cfg", 0, "/rigs"), ("cfg", 0, "/samples")]
 
 
 def test_a_key_that_there_is_not_is_refused_at_once() -> None:
@@ -116,7 +116,7 @@ def test_a_key_that_there_is_not_is_refused_at_once() -> None:
     with pytest.raises(AttributeError, match="ReliefWaves"):
         _ = builder.ReliefWaves
     relief = ReliefMultifractal(amplitude_m=1, scale_m=8)
-    with pytest.raises(AttributeError, match="has no key 'scale_mm'; did you mean 'scale_m'"):
+    with pytest.raises(AttributeError, match='has no key "scale_mm"; did you mean "scale_m"'):
         relief.scale_mm = 9
     relief.scale_m = 9
     assert relief.as_json()["scale_m"] == 9

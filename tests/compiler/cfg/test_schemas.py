@@ -42,9 +42,15 @@ def _subschemas(schema, at=""):
             yield from _subschemas(below, f"{at}/{keyword}/{i}")
 
 
-@pytest.mark.parametrize("name", _NAMES)
-def test_a_schema_is_valid_draft_2020_12(name):
-    Draft202012Validator.check_schema(load_schemas()[name])
+def _all_subschemas():
+    """Of every schema, with where it stands."""
+    for name in _NAMES:
+        yield from _subschemas(load_schemas()[name], name)
+
+
+def test_the_schemas_are_valid_draft_2020_12():
+    for name in _NAMES:
+        Draft202012Validator.check_schema(load_schemas()[name])
 
 
 #: Keywords that say where others apply, or nothing of values.
@@ -61,25 +67,22 @@ def _conditions(schema):
         yield from _conditions(below)
 
 
-@pytest.mark.parametrize("name", _NAMES)
-def test_a_schema_has_no_keyword_that_the_walk_passes_over(name):
-    for at, schema in _subschemas(load_schemas()[name]):
+def test_no_schema_has_a_keyword_that_the_walk_passes_over():
+    for at, schema in _all_subschemas():
         unknown = {key for key in schema if not key.startswith("x-")} - {*EXPECTED, *_OTHERS}
         assert not unknown, at
         for below in _conditions(schema.get("if", {})):
             assert set(below) <= {"type", "enum", "const", "properties", "required"}, at
 
 
-@pytest.mark.parametrize("name", _NAMES)
-def test_every_property_is_described(name):
-    for at, schema in _subschemas(load_schemas()[name]):
+def test_every_property_is_described():
+    for at, schema in _all_subschemas():
         for key, entry in schema.get("properties", {}).items():
             assert entry.get("description", "").endswith("."), f"{at}/{key}"
 
 
-@pytest.mark.parametrize("name", _NAMES)
-def test_an_object_takes_no_unknown_keys(name):
-    for at, schema in _subschemas(load_schemas()[name]):
+def test_an_object_takes_no_unknown_keys():
+    for at, schema in _all_subschemas():
         if at.endswith(("/else", "/then")):
             # Says more of keys that stand beside it.
             continue
@@ -93,25 +96,24 @@ def test_an_object_takes_no_unknown_keys(name):
         assert "anyOf" not in schema, at
 
 
-@pytest.mark.parametrize("name", [name for name in _NAMES if name != NUMBER])
-def test_a_reference_is_to_a_definition_that_is_there(name):
-    for at, schema in _subschemas(load_schemas()[name]):
-        assert schema.get("$ref", ROOT) in load_schemas(), at
+def test_a_reference_is_to_a_definition_that_is_there():
+    for name in {*_NAMES} - {NUMBER}:
+        for at, schema in _subschemas(load_schemas()[name], name):
+            assert schema.get("$ref", ROOT) in load_schemas(), at
 
 
 def test_every_number_says_when_it_is_drawn_and_every_default_is_valid():
     count = 0
-    for name in _NAMES:
-        for at, schema in _subschemas(load_schemas()[name]):
-            if "default" in schema:
-                Draft202012Validator({**_WHOLE, **schema}).validate(schema["default"])
-            if schema.get("$ref") != NUMBER:
-                continue
-            count += 1
-            assert schema["x-per"] == schema["x-per-allowed"][0], f"{name}{at}"
-            assert schema["x-per-allowed"][-1] == "batch", f"{name}{at}"
-            if "default" in schema:
-                assert not list(check_number(Field((), schema["default"], schema, True)))
+    for at, schema in _all_subschemas():
+        if "default" in schema:
+            Draft202012Validator({**_WHOLE, **schema}).validate(schema["default"])
+        if schema.get("$ref") != NUMBER:
+            continue
+        count += 1
+        assert schema["x-per"] == schema["x-per-allowed"][0], at
+        assert schema["x-per-allowed"][-1] == "batch", at
+        if "default" in schema:
+            assert not list(check_number(Field((), schema["default"], schema, True)))
     assert count > 50
 
 
@@ -147,11 +149,11 @@ def _examples():
             yield name, schema.get("examples", [None])[0]
 
 
-@pytest.mark.parametrize(("place", "example"), list(_examples()), ids=lambda value: str(value)[:40])
-def test_every_object_has_an_example_that_is_valid(place, example):
-    assert example is not None
-    validator = Draft202012Validator({**_WHOLE, "$ref": place})
-    assert not [error.message for error in validator.iter_errors(example)]
+def test_every_object_has_an_example_that_is_valid():
+    for place, example in _examples():
+        assert example is not None, place
+        validator = Draft202012Validator({**_WHOLE, "$ref": place})
+        assert not [error.message for error in validator.iter_errors(example)], place
 
 
 def test_the_schema_is_made_of_what_kinds_declare(monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,21 +12,11 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from scenec.compiler.geometry.pose_spline import spline_poses
+from scenec.testing import tumbling
 from scenec.testing.examples import examples
 from scenec.testing.tumbling import quaternions, rotations, top
 
-
-def keys(n, largest, seed=1):
-    """Times, positions and rotations, whose neighbors are less than an angle apart."""
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.uniform(0.05, 1.0, n))
-    axis = rng.normal(size=(n, 3))
-    axis /= np.linalg.norm(axis, axis=1)[:, None]
-    turns = Rotation.from_rotvec(axis * rng.uniform(0, largest, (n, 1)))
-    found = [turns[0]]
-    for k in range(1, n):
-        found.append(found[-1] * turns[k])
-    return time, rng.normal(size=(n, 3)), Rotation.concatenate(found)
+keys = partial(tumbling.keys, seed=1)
 
 
 def test_positions_are_scipy_s_cubic_spline_with_the_same_velocities_at_its_ends():
@@ -54,7 +46,7 @@ def test_turns_are_scipy_s_rotation_spline_away_from_its_ends():
     largest=st.sampled_from([0.0, 1e-9, 0.1, 1.0, 2.0, 3.0]),
 )
 def test_it_goes_through_every_key_and_its_second_derivatives_have_no_jumps(n, seed, largest):
-    time, p, r = keys(n, largest, seed)
+    time, p, r = tumbling.keys(n, largest, seed)
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (n, 1))
     at_keys = spline_poses(time, p, signs * quaternions(r), time)
     assert np.array_equal(at_keys.position, p)

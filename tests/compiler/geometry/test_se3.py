@@ -11,30 +11,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from scenec.compiler.geometry.se3 import METHODS, interpolate, matrices
 from scenec.testing.examples import examples
+from scenec.testing.tumbling import keys, quaternions, rotations
 
 ALL = list(METHODS)
-
-
-def quaternions(rotation: Rotation) -> np.ndarray:
-    """As we write them: w first."""
-    return np.roll(rotation.as_quat(), 1, axis=-1)
-
-
-def rotations(quaternion: np.ndarray) -> Rotation:
-    return Rotation.from_quat(np.roll(quaternion, -1, axis=-1))
-
-
-def keys(n: int, seed: int = 0, largest: float = 2.9):
-    """Times, positions and rotations, neighbors less than half a turn apart."""
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.uniform(0.05, 1.0, n))
-    axis = rng.normal(size=(n, 3))
-    axis /= np.linalg.norm(axis, axis=1)[:, None]
-    turn = Rotation.from_rotvec(axis * rng.uniform(0, largest, (n, 1)))
-    rotation = [turn[0]]
-    for k in range(1, n):
-        rotation.append(rotation[-1] * turn[k])
-    return time, rng.normal(size=(n, 3)), Rotation.concatenate(rotation)
 
 
 def test_turns_are_those_of_scipy_and_positions_linear():
@@ -68,7 +47,7 @@ def test_any_keys_give_unit_quaternions_and_come_back_at_their_times(method, dat
 
 @pytest.mark.parametrize("method", ALL)
 def test_the_sign_of_a_quaternion_does_not_matter(method):
-    time, p, r = keys(50, 2)
+    time, p, r = keys(50, seed=2)
     q = quaternions(r)
     at = np.linspace(time[0], time[-1], 999)
     one = interpolate(time, p, q, at, method)
@@ -112,7 +91,7 @@ def test_keys_of_a_screw_give_the_screw():
 
 
 def test_a_screw_does_not_depend_on_which_point_of_the_body_is_told():
-    time, p, r = keys(30, 4)
+    time, p, r = keys(30, seed=4)
     lever = np.array([0.7, -2.0, 1.5])
     at = np.linspace(time[0], time[-1], 500)
     for method, same in (("screw", True), ("linear", False)):
@@ -182,7 +161,7 @@ def test_a_cubic_gives_back_constant_accelerations_whatever_the_stamps():
 
 
 def test_a_cubic_has_no_jump_of_velocity_at_its_keys_and_linear_does():
-    time, p, r = keys(30, 7, largest=1.5)
+    time, p, r = keys(30, 1.5, 7)
     h = 1e-5
     jumps = {}
     for method in ("linear", "cubic"):
