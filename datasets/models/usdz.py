@@ -23,6 +23,7 @@ from scenec.schemas.errors import OutputError
 from scenec.schemas.files import atomic
 from scenec.schemas.model import Look, Model, Part
 from scenec.schemas.scratch import scratch_folder
+from scenec.schemas.udim import UDIM, is_tiled, tiles_of
 
 #: Looks of the ground.
 _SCOPE = Sdf.Path("/World/BakedLooks")
@@ -235,18 +236,21 @@ def _take_pictures(layer: Sdf.Layer, folder: Path) -> None:
 
     def of(name: str) -> str:
         file = Path(layer.ComputeAbsolutePath(name))
-        if not file.is_file():
+        sources = tiles_of(file).values() if is_tiled(file) else [file] if file.is_file() else []
+        if not sources:
             return name
         if file.parent == folder / _TEXTURES:
             return f"./{_TEXTURES}/{file.name}"
         if str(file) not in names:
-            number = 0
-            target = folder / _TEXTURES / file.name
-            while target.exists():
+            # Of each tile, the number in its name.
+            tiles = [one.name.removeprefix(file.name.partition(UDIM)[0])[:4] for one in sources]
+            own, number = file.name, 0
+            while any((folder / _TEXTURES / own.replace(UDIM, tile)).exists() for tile in tiles):
                 number += 1
-                target = folder / _TEXTURES / f"{file.stem}_{number}{file.suffix}"
-            shutil.copyfile(file, target)
-            names[str(file)] = f"./{_TEXTURES}/{target.name}"
+                own = f"{file.stem}_{number}{file.suffix}"
+            for source, tile in zip(sources, tiles, strict=True):
+                shutil.copyfile(source, folder / _TEXTURES / own.replace(UDIM, tile))
+            names[str(file)] = f"./{_TEXTURES}/{own}"
         return names[str(file)]
 
     UsdUtils.ModifyAssetPaths(layer, of)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 from PIL import Image
 from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
+import scenec
 from scenec.backends.stage.read import read_stage
 from scenec.backends.stage.scene import RenderScene
 from scenec.backends.surface.maps import map_mean, map_values
@@ -164,3 +167,25 @@ def test_what_is_no_number_of_a_tile_is_none(tmp_path):
         (tmp_path / name).touch()
     found = udim.tiles_of(tmp_path / "a.<UDIM>.png")
     assert found == {(0, 0): tmp_path / "a.1001.png", (8, 9): tmp_path / "a.1099.png"}
+
+
+def test_an_exported_package_holds_the_tiles_and_no_time_of_theirs(tmp_path):
+    made = []
+    for year in (2001, 2011):
+        folder = tmp_path / str(year)
+        folder.mkdir()
+        for name in ("color", "packed", "normal"):
+            store(folder, name)
+        file = stage_of(folder, "{}.<UDIM>.png", (1.0, 1.0))
+        for picture in folder.glob("*.png"):
+            os.utime(picture, (year * 1e6,) * 2)
+        scenec.export(file, "usdz", folder=folder / "out")
+        (package,) = (folder / "out").rglob("*.usdz")
+        made.append(package.read_bytes())
+    assert made[0] == made[1]
+    with zipfile.ZipFile(package) as archive:
+        held = {Path(name).name for name in archive.namelist()}
+    assert held >= {f"color.{1001 + c + 10 * r}.png" for c in range(COLUMNS) for r in range(ROWS)}
+    wanted, found = described(read_stage(file)), described(read_stage(package))
+    for kind in KINDS:
+        np.testing.assert_array_equal(map_values(found, kind), map_values(wanted, kind))
