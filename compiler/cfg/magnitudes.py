@@ -18,7 +18,7 @@ _DEGREES = 180.0 / math.pi
 #: Where numbers stand that another unit of length makes a thousand times off, and usual bounds.
 _USUAL = (
     (("rigs", "*", "sensors", "*", "focus"), "focal_length_mm", 1.0, 3000.0, "mm"),
-    (("rigs", "*", "sensors", "*", "imaging"), "pixel_um", 0.5, 100.0, "µm"),
+    (("rigs", "*", "sensors", "*", "imaging"), "pixel_um", 0.5, 2000.0, "µm"),
     (("rigs", "*", "sensors", "*", "depth_camera"), "baseline_m", 0.002, 10.0, "m"),
     (("light", "haze"), "visibility_m", 5.0, 1e6, "m"),
 )

@@ -20,7 +20,9 @@ WAITING = {"pages/leaving_out", "experiments/head_to_head", "experiments/ego_mot
 
 def scripts() -> list[str]:
     """What ``make measured`` runs, below ``lab``."""
-    done = ran("make", "--eval", "list: ; @echo $(MEASURED)", "list", cwd=ROOT)
+    done = ran(
+        "make", "--no-print-directory", "--eval", "list: ; @echo $(MEASURED)", "list", cwd=ROOT
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 

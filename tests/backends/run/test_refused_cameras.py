@@ -120,9 +120,11 @@ def test_denoising_an_aperture_is_refused_before_anything_is_rendered(stage, cap
     # Had the renderer been given the scene, its worker would have ended.
     plan_fault(stage.parent, monkeypatch, "exit", where="load")
     assert main(command) == 2
-    assert capsys.readouterr().err == (
+    where, said = capsys.readouterr().err.splitlines()
+    assert where.startswith("frames go into ")
+    assert said == (
         "scenec: camera left: its aperture makes its picture the mean of many, and denoisers take "
-        "single ones: render it without denoising\n"
+        "single ones: render it without denoising"
     )
     assert not (stage.parent / "frames").exists()
 
