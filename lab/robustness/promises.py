@@ -24,7 +24,9 @@ def main() -> None:
     KEPT.mkdir()
     rows = (
         f"{json.dumps(part)}: {{\n"
-        + ",\n".join(f"{json.dumps(key)}: {json.dumps(facts[key])}" for key in sorted(facts))
+        + ",\n".join(
+            f"{json.dumps(key)}: {json.dumps(facts[key], sort_keys=True)}" for key in sorted(facts)
+        )
         + "\n}"
         for part, facts in sorted(promised().items())
     )
