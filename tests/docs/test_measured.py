@@ -14,8 +14,6 @@ PAGES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs")
 RECENT = list(
     dict.fromkeys(re.findall(r"^## \[(\d+\.\d+)\.", (ROOT / "CHANGELOG.md").read_text(), re.M))
 )[:3]
-#: What is older, and says so, until somebody has some quiet minutes for it.
-WAITING = {"pages/leaving_out", "experiments/head_to_head", "experiments/ego_motion"}
 
 
 def scripts() -> list[str]:
@@ -36,16 +34,14 @@ def test_a_measured_page_names_its_command_and_a_recent_version(script):
     made = [re.match(rf"`python lab/{script}\.py`: scenec (\d+\.\d+)", stamp) for stamp in stamps]
     versions = [one[1] for one in made if one]
     assert versions, (page, stamps)
-    assert set(versions) <= set(RECENT) or script in WAITING, (page, stamps)
-    assert not set(versions) <= set(RECENT) or script not in WAITING, "it waits no longer"
+    assert set(versions) <= set(RECENT), (page, stamps)
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_figures_are_of_a_recent_version_or_of_a_machine_with_a_gpu(page):
     for line in PAGES[page].splitlines():
         for version in re.findall(r"\bscenec (\d+\.\d+)\b", line):
-            waits = any(f"lab/{script}.py" in line for script in WAITING)
-            assert version in RECENT or waits or "GPU" in line or "NVIDIA" in line, line
+            assert version in RECENT or "GPU" in line or "NVIDIA" in line, line
 
 
 @pytest.mark.parametrize("page", PAGES)
