@@ -30,6 +30,8 @@ _LEAST_SPAN = 1 / 6
 _USUAL_FOV_DEG = 0.5, 150.0
 #: The key's own bound: sizes of a law without ends, meters.
 _NO_END_M = 1e6
+#: Beyond this, and below its reciprocal, lie the ends of laws without any, of light and exposure.
+_NO_END = 1e30
 #: So often side by side instances may cover the ground that they are scattered over.
 _MOST_COVER = 20.0
 #: Instances of a class; each takes about 100 bytes of the stage.
@@ -244,6 +246,8 @@ def _exposures(cfg: Node) -> Iterator[Finding]:
     if sun["type"] == "ephemeris" or not elevation or elevation[0] < 5.0:
         return
     lowest, highest = sun.span("irradiance") or (_SUNLIGHT, _SUNLIGHT)
+    if not 1.0 / _NO_END < lowest <= highest < _NO_END:
+        return
     for sensor in cfg.each("rigs", "*", "sensors", "*"):
         imaging = sensor.at("imaging")
         manual, fixed = imaging.at("exposure"), sensor.at("exposure")
@@ -251,6 +255,8 @@ def _exposures(cfg: Node) -> Iterator[Finding]:
         if manual["type"] == "manual" and times and speeds and stops:
             node, key, unit = manual, "time_s", f" s at ISO {speeds[0]:g} and f/{stops[0]:g}"
             exact = times[0] * speeds[0] / (100.0 * stops[0] * stops[0])
+            if not 1.0 / _NO_END < exact < _NO_END:
+                continue
             off = _log2(exact * lowest / _SUNLIGHT) + _SUNNY_EV
             usual = times[0] / elementary.exp(off * elementary.log(2.0))
         elif fixed["type"] == "fixed" and not imaging and (ev := fixed.constant("ev")) is not None:

@@ -24,6 +24,14 @@ def _intrinsics(focal_px: float) -> dict[str, object]:
     }
 
 
+def _exposed(irradiance: object, time_s: object) -> dict[str, object]:
+    exposure = {"type": "manual", "time_s": time_s, "iso": 100}
+    return {
+        "/light/sun": {"elevation_deg": 40, "irradiance": irradiance},
+        f"{_SENSOR}/imaging": {"exposure": exposure},
+    }
+
+
 def _scattered(key: str, number: float, size_m: object = 0.3) -> dict[str, object]:
     return {
         "/objects/rocks/count": DELETE,
@@ -137,6 +145,10 @@ def test_a_magnitude_that_leaves_nothing_to_see_is_a_warning(tmp_path, changes, 
         {f"{_SENSOR}/exposure": {"type": "fixed", "ev": 13}, "/light/sun": {"elevation_deg": 1}},
         {"/light/sun": {"elevation_deg": {"type": "uniform", "min": -9, "max": 9}}},
         {"/light/sun": None},
+        # Laws without ends say nothing.
+        _exposed({"type": "log_normal", "median": 900, "sigma": 1}, 0.01),
+        _exposed({"type": "normal", "mean": 900, "std": 1}, 0.01),
+        _exposed(900, {"type": "normal", "mean": 0.01, "std": 1}),
     ],
 )
 def test_what_may_be_meant_is_taken_as_it_is(tmp_path, changes):
