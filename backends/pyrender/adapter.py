@@ -25,7 +25,7 @@ from scenec.backends.pyrender.canopy import make_canopy
 from scenec.backends.pyrender.detail import add_levels
 from scenec.backends.pyrender.lamps import lamp_shadow_maps
 from scenec.backends.pyrender.lighting import CASCADES, DARK, fit_shadow_maps, losses, smooth_sky
-from scenec.backends.pyrender.points import face_normals, find_points, resolve
+from scenec.backends.pyrender.points import DrawnView, face_normals, find_points, resolve
 from scenec.backends.pyrender.tables import Tables, make_tables, place_maps
 from scenec.backends.pyrender.tiles import without_glow
 from scenec.backends.stage import posing
@@ -192,6 +192,7 @@ class Pyrender(Backend):
         points = find_points(
             renderer.read_ids("samples"), side, self._normals, self._first_faces(selection)
         )
+        drawn = DrawnView("samples", near, points, selection, rays, view.origin)
         total: NDArray[np.float32] | None = None
         # Each further sun adds a picture of its own light alone.
         for sun in suns or [Sun(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)]:
@@ -201,10 +202,7 @@ class Pyrender(Backend):
             for layer, shadow in enumerate(shadows):
                 casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
                 renderer.draw_shadow(layer, shadow, casters)
-            light = renderer.shade(
-                "samples", near, points, selection, surfaces, rays, view.origin, sky, sun,
-                shadows,
-            )  # fmt: skip
+            light = renderer.shade(drawn, surfaces, sky, sun, shadows)
             if total is None:
                 total = light
             else:
@@ -220,11 +218,7 @@ class Pyrender(Backend):
                 for layer, shadow in enumerate(shadows):
                     casters = geometry.select(scene, self._geometry, shadow.view, self._culling)
                     renderer.draw_shadow(layer, shadow, casters)
-                light = renderer.shade(
-                    "samples", near, points, selection, surfaces, rays, view.origin, DARK,
-                    lamp, shadows,
-                )  # fmt: skip
-                total += light
+                total += renderer.shade(drawn, surfaces, DARK, lamp, shadows)
         return resolve(points, total).reshape(rows, camera.width, 4)
 
     def _find_ground(self, renderer: Renderer, tables: Tables) -> Ground | None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenec.backends.pyrender.geometry import Geometry
+from scenec.backends.pyrender.geometry import Geometry, Selection
 from scenec.backends.stage.scene import RenderScene
 from scenec.schemas.kernels import inlined, kernel
 from scenec.schemas.threads import over_threads
@@ -42,6 +42,26 @@ class ShadingPoints:
     weight: NDArray[np.float32]
     pixel: NDArray[np.int64]
     side: int
+
+
+class DrawnView(NamedTuple):
+    """Holds what ``draw_ids`` drew, and how rays go through it.
+
+    Attributes:
+        name: Of the target that was drawn into.
+        near: Over depth it is the planar distance.
+        points: What is to be shaded of it.
+        selection: What was drawn.
+        rays: From (u, v, 1) in pixels to directions.
+        origin: The camera's position.
+    """
+
+    name: str
+    near: float
+    points: ShadingPoints
+    selection: Selection
+    rays: NDArray[np.float64]
+    origin: NDArray[np.float64]
 
 
 class _Samples(NamedTuple):

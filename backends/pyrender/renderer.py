@@ -29,7 +29,7 @@ from scenec.backends.pyrender.lighting import (
     ShadowMap,
     SmoothSky,
 )
-from scenec.backends.pyrender.points import ROW, ShadingPoints
+from scenec.backends.pyrender.points import ROW, DrawnView
 from scenec.backends.pyrender.surface_model import MARK, surface_functions
 from scenec.backends.pyrender.tables import Tables
 from scenec.backends.stage.scene import Gobo, Lamp, Maps, Mesh, RenderScene, Sun
@@ -266,13 +266,8 @@ class Renderer(pyrender.Renderer):
 
     def shade(
         self,
-        name: str,
-        near: float,
-        points: ShadingPoints,
-        selection: Selection,
+        drawn: DrawnView,
         surfaces: NDArray[np.float32],
-        rays: NDArray[np.float64],
-        origin: NDArray[np.float64],
         sky: SmoothSky,
         sun: Sun | Lamp,
         shadows: Sequence[ShadowMap],
@@ -280,13 +275,8 @@ class Renderer(pyrender.Renderer):
         """The light of points of what ``draw_ids`` drew.
 
         Args:
-            name: Of the target that was drawn into.
-            near: Over depth it is the planar distance.
-            points: Where.
-            selection: What was drawn.
+            drawn: What it drew, and where light is asked for.
             surfaces: ``tables.place_maps`` for this camera.
-            rays: From (u, v, 1) in pixels to directions.
-            origin: The camera's position.
             sky: The sky; a dark one leaves out the ground's light too.
             sun: The sun, or a lamp, that only shines where its shadow maps reach.
             shadows: What ``draw_shadow`` drew for it, by layer.
@@ -294,6 +284,7 @@ class Renderer(pyrender.Renderer):
         Returns:
             Light of each point and nothing, float32 [n, 4].
         """
+        points, origin = drawn.points, drawn.origin
         rows = len(points.packed) // ROW
         target = self._target("light", ROW, rows, GL.GL_RGBA32F, depth=False)
         # Made before the target is bound: making it binds it.
@@ -306,11 +297,11 @@ class Renderer(pyrender.Renderer):
         program = self._program("full.vert", "shade.frag", defines)
         self._set_state()
         target.bind()
-        self._tables["poses"].fill(selection.poses.reshape(-1, 4), GL.GL_STREAM_DRAW)
+        self._tables["poses"].fill(drawn.selection.poses.reshape(-1, 4), GL.GL_STREAM_DRAW)
         self._tables["surfaces"].fill(surfaces, GL.GL_STREAM_DRAW)
         for unit, table in self._tables.items():
             _bind(unit, GL.GL_TEXTURE_BUFFER, table.texture)
-        _bind("depth", GL.GL_TEXTURE_2D, self._targets[name].depth)
+        _bind("depth", GL.GL_TEXTURE_2D, self._targets[drawn.name].depth)
         _bind("points", GL.GL_TEXTURE_2D, self._points)
         resources.fill_integers(points.packed.reshape(rows, ROW, 4))
         _bind("maps", GL.GL_TEXTURE_2D_ARRAY, self._pictures["maps"])
@@ -329,8 +320,8 @@ class Renderer(pyrender.Renderer):
             # The lowest direction of ``make_canopy`` rises by its height over nearly six of it.
             program.set_uniform("canopy_reach", 6.0 * float(self._canopy.size[2]))
         program.set_uniform("samples", points.side)
-        program.set_uniform("near", float(near))
-        program.set_uniform("rays", rays)
+        program.set_uniform("near", float(drawn.near))
+        program.set_uniform("rays", drawn.rays)
         program.set_uniform("ground_share", float(not sky.dark))
         if "WITH_FACETS" in self._defines:
             program.set_uniform("aureole", sky.aureole)
